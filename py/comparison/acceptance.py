@@ -17,7 +17,7 @@ from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst
 from .earlier import earlier
-from .elsewhere import holes_of
+from .elsewhere import beside_holes, holes_of
 from .metric import METRICS, SCORED
 from .rating import INNER
 from .sentence import other_of
@@ -128,7 +128,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
     without = tuple(n for n in of_group(comparison.records, about.group) if n not in holding)
     values = _Values(comparison, model, about, Path())
     samples = {s.record: s.samples for s in values.rows(model).values() if s.record in holding}
-    mixed = uneven(samples)
+    mixed, judged_on = uneven(samples), [r for r in comparison.records if r.name in holding]
     one = dataclasses.replace(
         one,
         samples=sum(samples.values()) or None,
@@ -138,7 +138,8 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
         seen=_seen(comparison, model, holding),
         flat=_flat(comparison, about, holding),
-        holes=holes_of([r for r in comparison.records if r.name in holding], comparison.entrants),
+        holes=holes_of(judged_on, comparison.entrants),
+        beside=beside_holes(judged_on, comparison.entrants),
         otherwise=_started_otherwise(comparison, model, about.than, holding),
     )
     if np.isinf(one.value):

@@ -59,7 +59,8 @@ class Judged:
     is held against, an earlier comparison or another model, in sentences. among : of an overall criterion all outputs
     that it is about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that
     it was judged on and that the model was made from. flat : that the output hardly moves against its size, which the
-    metric counts by, in words; "" where it moves. holes : where runs began anew behind a hole, in words.
+    metric counts by, in words; "" where it moves. holes : where runs began anew behind a hole, in words; beside :
+    samples that were not run, for they lie in a hole or in a part that is too short.
     """
 
     criterion: Criterion
@@ -78,6 +79,7 @@ class Judged:
     seen: tuple[str, ...] = ()
     flat: str = ""
     holes: str = ""
+    beside: str = ""
 
     @property
     def which(self) -> str:
@@ -121,6 +123,8 @@ class Judged:
             told.append(f"judged on {some_of(self.seen)}, which the model was made from")
         if self.holes:
             told.append(f"judged in parts, with a start of its own behind every hole: {self.holes}")
+        if self.beside:
+            told.append(f"not judged on {self.beside}, in or between holes")
         if self.samples is not None and self.samples < FEWEST:
             told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
         told += [words for words in (self.flat, self.uneven) if words]

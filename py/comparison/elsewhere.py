@@ -32,6 +32,13 @@ def holes_of(records: Sequence[Record], models: Iterable) -> str:
     return some_of([w.holes if len(records) == 1 else f"{w.holes} of {w.name}" for w in wholes])
 
 
+def beside_holes(records: Sequence[Record], models: Iterable) -> str:
+    """Samples in which nothing was run, for they lie in a hole or beside it, in words; "" without any."""
+    known = input_names(models)
+    lost = [(r, len(r) - sum(map(len, unbroken(r, known)))) for r in records]
+    return some_of([f"{count} of {len(r)} samples of {r.name}" for r, count in lost if count])
+
+
 def input_names(models: Iterable) -> tuple[str, ...]:
     """What must be known throughout a recording so that models can run through it: the inputs of all of them."""
     return tuple(dict.fromkeys(s.name for m in models for s in m.inputs))

@@ -63,7 +63,8 @@ def field_metrics(
 
     inputs : names of what must rest for ``steady`` and ``settling``; rated : with ISO/TS 18571.
 
-    Samples that were not measured are left out; lag and rating see a uniform grid with lines between the samples.
+    Samples that were not measured are left out; lag and rating see uniform grids with lines between the samples, and
+    nothing across a hole.
     """
     measured = record[found.output]
     known = np.isfinite(measured) & np.isfinite(found.values)
@@ -110,15 +111,15 @@ def theil(measured: np.ndarray, predicted: np.ndarray) -> float:
 def _lag(time: np.ndarray, y: np.ndarray, p: np.ndarray) -> float:
     if len(time) < 3:
         return NAN
-    grid, period = uniform(time)
-    return lag(np.interp(grid, time, y), np.interp(grid, time, p), period, SHIFT)
+    grids, period = uniform(time)
+    return lag([np.interp(g, time, y) for g in grids], [np.interp(g, time, p) for g in grids], period, SHIFT)
 
 
 def _rated(time: np.ndarray, y: np.ndarray, p: np.ndarray) -> dict[str, float]:
     if len(time) < 2:
         return {}
-    grid, _ = uniform(time, LONGEST)
-    found = rating(np.interp(grid, time, y), np.interp(grid, time, p))
+    grids, _ = uniform(time, LONGEST)
+    found = rating([np.interp(g, time, y) for g in grids], [np.interp(g, time, p) for g in grids])
     parts = {name: getattr(found, name) for name in ("corridor", "phase", "magnitude", "slope")}
     return {"iso18571": found.overall, **parts}
 

@@ -6,11 +6,12 @@ standard is written for 10 kHz; here the samples are those of the recording, at 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from .shift import correlations, first_best
+from .shift import Parts, correlations, first_best
 from .warping import warped
 
 LONGEST = 1000  # samples; longer recordings are rated on so many uniform ones
@@ -37,30 +38,36 @@ class Rating:
         return 0.4 * self.corridor + 0.2 * (self.phase + self.magnitude + self.slope)
 
 
-def rating(measured: np.ndarray, predicted: np.ndarray) -> Rating:
-    """Rating of ``predicted`` against ``measured``, (n,) on one uniform grid, finite. NaN where one does not move.
+def rating(measured: Parts, predicted: Parts) -> Rating:
+    """Rating of ``predicted`` against ``measured``, both in parts (n,) on uniform grids of one period, finite.
 
-    >>> rating(np.sin(np.arange(50)), np.sin(np.arange(50))).overall
+    The parts are what is between holes: nothing is shifted, warped or differentiated across one. NaN where one of both
+    does not move, or no part is long enough.
+
+    >>> rating([np.sin(np.arange(50))], [np.sin(np.arange(50))]).overall
     1.0
     """
-    measured, predicted = np.asarray(measured, float), np.asarray(predicted, float)
-    if len(measured) < SHORTEST or not np.ptp(measured) or not np.ptp(predicted):
+    measured, predicted = ([np.asarray(part, float) for part in curve] for curve in (measured, predicted))
+    y, p, longest = np.concatenate(measured), np.concatenate(predicted), max(map(len, measured))
+    if longest < SHORTEST or not np.ptp(y) or not np.ptp(p):
         return Rating(*[float("nan")] * 4)
-    most = SHIFT * len(measured)
+    most = SHIFT * longest
     late = first_best(correlations(measured, predicted, int(most)))
-    reference, curve = _shifted(measured, predicted, late)
+    parts = [_shifted(*both, late) for both in zip(measured, predicted, strict=True) if len(both[0]) >= SHORTEST]
+    parts = [both for both in parts if len(both[0]) > len(MEANS) * 2]
+    sloped = [(_slopes(reference), _slopes(curve)) for reference, curve in parts]
     return Rating(
-        corridor=_corridor(measured, predicted),
+        corridor=_corridor(y, p),
         phase=max(0.0, 1.0 - abs(late) / most),
-        magnitude=_magnitude(reference, curve),
-        slope=max(0.0, 1.0 - _relative(_slopes(curve), _slopes(reference)) / MOST_SLOPE),
+        magnitude=max(0.0, 1.0 - _relative([_warped(*both) for both in parts]) / MOST_MAGNITUDE),
+        slope=max(0.0, 1.0 - _relative(sloped) / MOST_SLOPE),
     )
 
 
 def _shifted(measured: np.ndarray, predicted: np.ndarray, late: int) -> tuple[np.ndarray, np.ndarray]:
     """Both where they overlap once the prediction is moved by ``late`` samples."""
-    n = len(measured) - abs(late)
-    return (measured[:n], predicted[late:]) if late >= 0 else (measured[-n:], predicted[:n])
+    n = max(0, len(measured) - abs(late))
+    return (measured[:n], predicted[late:]) if late >= 0 else (measured[len(measured) - n :], predicted[:n])
 
 
 def _corridor(measured: np.ndarray, predicted: np.ndarray) -> float:
@@ -68,14 +75,15 @@ def _corridor(measured: np.ndarray, predicted: np.ndarray) -> float:
     return float(np.mean(np.clip((OUTER - off) / (OUTER - INNER), 0.0, 1.0) ** 2))
 
 
-def _magnitude(reference: np.ndarray, curve: np.ndarray) -> float:
+def _warped(reference: np.ndarray, curve: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     first, second = warped(curve, reference, int(np.ceil(WINDOW * len(curve))) - 1)
-    return max(0.0, 1.0 - _relative(curve[first], reference[second]) / MOST_MAGNITUDE)
+    return reference[second], curve[first]
 
 
-def _relative(curve: np.ndarray, reference: np.ndarray) -> float:
-    size = float(np.abs(reference).sum())
-    return float(np.abs(curve - reference).sum()) / size if size else float("inf")
+def _relative(parts: Sequence[tuple[np.ndarray, np.ndarray]]) -> float:
+    """The error of curves against their references, over the size of these."""
+    size = sum(float(np.abs(reference).sum()) for reference, _ in parts)
+    return sum(float(np.abs(curve - reference).sum()) for reference, curve in parts) / size if size else float("inf")
 
 
 def _slopes(values: np.ndarray) -> np.ndarray:

@@ -63,8 +63,9 @@ def settling(
     Each time that the inputs have moved and rest until the measurement rests, too, the settling time of either counts
     from where the inputs rest to where it stays within 5 % of its largest distance from its final value, that of the
     measurement, or moves no more than what rests. A prediction that does not settle takes as long as the inputs rest.
-    A move that ends inside a hole of an input or of time, nobody knows when, is left out. It is the mean size over the
-    moves, so that one that settles too late does not make up for one that settles too soon, with the sign of the mean.
+    A move that ends inside a hole of an input or of time, nobody knows when, is left out, and one is followed until the
+    next hole, behind which a prediction may begin anew, settled. It is the mean size over the moves, so that one that
+    settles too late does not make up for one that settles too soon, with the sign of the mean.
     NaN where the measurement never settles after a move. Noise leaves a band late, and is taken out.
     Source: G. Franklin, J. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4.
     """
@@ -72,8 +73,11 @@ def settling(
     sigma = _sigma(output, noise)
     settled, room = rests(record, [output], noise), _room(measured, sigma)
     told = np.all([np.isfinite(record[n]) for n in inputs], axis=0)
-    told[[gap.index + 1 for gap in record.gaps]] = False
-    for part in _after_moves(inputs_rest(record, inputs, noise), width):
+    behind = [gap.index + 1 for gap in record.gaps]
+    told[behind] = False
+    holes = np.union1d(behind, np.flatnonzero(~np.isfinite(predicted)))
+    for move in _after_moves(inputs_rest(record, inputs, noise), width):
+        part = slice(move.start, int(min((h for h in holes if move.start < h < move.stop), default=move.stop)))
         if not np.all(told[part.start - 1 : part.start + 1]):  # the move ended in a hole
             continue
         known = np.isfinite(measured[part]) & np.isfinite(predicted[part])

@@ -84,6 +84,8 @@ def compare(
     """
     _require_lists(contenders=contenders, records=records, modes=modes, outputs=outputs or (), rates=rates)
     contenders = [as_contender(c) for c in contenders]
+    signals = [*_signals(contenders), *(s for c in contenders for s in c.inputs)]
+    records, train_records = ([as_needed(r, signals) for r in some] for some in (records, train_records))
     records = measured_in(contenders, distinct(records)[0])
     modes = tuple(dict.fromkeys(modes))  # one that is named twice counts once
     _check(contenders, records, modes)
@@ -95,7 +97,7 @@ def compare(
         tuple(modes), tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), how, input_names(contenders)
     )
     noise = [noise_floor(r) for r in records]
-    records = [with_rates(as_needed(r, wanted), sloped) for r in records]
+    records = [with_rates(r, sloped) for r in records]
     drawn = _drawn(curves, len(contenders) * len(modes) * len(plan.wanted + plan.rates), len(records))
     jobs = _jobs(contenders, list(zip(records, noise, strict=True)), plan, (repeats, drawn))
     with executor_for(executor) as pool:
@@ -208,7 +210,8 @@ def _timings(made: Sequence[tuple[Job, Run]]) -> tuple[Timing, ...]:
     groups: dict[tuple[str, str], dict[bool, list[float]]] = {}
     for job, run in made:
         timed = groups.setdefault((job.carried.contender.name, run.mode), {True: [], False: []})
-        duration = max(job.record.duration, np.finfo(float).tiny)
+        parts = unbroken(job.record, job.plan.known)  # nothing is run through holes
+        duration = max(sum(part.duration for part in parts), np.finfo(float).tiny)
         timed[job.repeats is not None] += [s / duration for s in run.seconds]
     return tuple(_timing(key, values[True] or values[False]) for key, values in groups.items())
 

@@ -2,27 +2,40 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+Parts = Sequence[np.ndarray]  # of a curve, (n,) each: what is between its holes
 ALIKE = 1e-10  # correlations nearer to each other than this are one
 
 
-def correlations(measured: np.ndarray, predicted: np.ndarray, reach: int) -> np.ndarray:
+def correlations(measured: Parts, predicted: Parts, reach: int) -> np.ndarray:
     """Correlation coefficients (2 reach + 1,) of what overlaps once the prediction is ``k`` samples late.
 
-    k runs from -reach to reach; -inf where one of both does not move in the overlap.
+    Both in the parts between holes, across which nothing overlaps. k runs from -reach to reach; -inf where one of both
+    does not move in the overlap.
     """
-    n, late = len(measured), np.arange(-reach, reach + 1)
-    y, p = measured - measured.mean(), predicted - predicted.mean()
-    size = next_fast_len(2 * n - 1, real=True)
-    products = irfft(rfft(p, size) * rfft(y[::-1], size), size)[n - 1 - reach : n + reach]
-    count = n - np.abs(late)
-    sums = [_sums(a, side) for a, side in ((y, -late), (p, late))]
-    (y1, y2), (p1, p2) = sums
+    y, p = (np.concatenate(parts) for parts in (measured, predicted))
+    each = [_overlap(one - y.mean(), other - p.mean(), reach) for one, other in zip(measured, predicted, strict=True)]
+    products, count, y1, y2, p1, p2 = np.sum(each, axis=0)
+    count = np.maximum(count, 1.0)  # without an overlap nothing moves
     spread = np.sqrt(np.maximum(y2 - y1**2 / count, 0.0) * np.maximum(p2 - p1**2 / count, 0.0))
-    known = spread > 1e-12 * np.sqrt(np.sum(y**2) * np.sum(p**2))
+    known = spread > 1e-12 * np.sqrt(np.sum((y - y.mean()) ** 2) * np.sum((p - p.mean()) ** 2))
     return np.where(known, (products - y1 * p1 / count) / np.where(known, spread, 1.0), -np.inf)
+
+
+def _overlap(y: np.ndarray, p: np.ndarray, reach: int) -> np.ndarray:
+    """Sums over the overlap (6, 2 reach + 1) of one part: of products, samples, y, y^2, p and p^2."""
+    n, most = len(y), min(reach, len(y) - 1)
+    late = np.arange(-most, most + 1)
+    size = next_fast_len(2 * n - 1, real=True)
+    products = irfft(rfft(p, size) * rfft(y[::-1], size), size)[n - 1 - most : n + most]
+    (y1, y2), (p1, p2) = _sums(y, -late), _sums(p, late)
+    found = np.zeros((6, 2 * reach + 1))
+    found[:, reach - most : reach + most + 1] = products, n - np.abs(late), y1, y2, p1, p2
+    return found
 
 
 def first_best(found: np.ndarray) -> int:
@@ -32,15 +45,15 @@ def first_best(found: np.ndarray) -> int:
     return int(min(best, key=lambda k: (abs(k), -k)))
 
 
-def lag(measured: np.ndarray, predicted: np.ndarray, period: float, share: float) -> float:
-    """Seconds that the prediction comes after the measurement, both (n,) on a uniform grid of ``period`` s.
+def lag(measured: Parts, predicted: Parts, period: float, share: float) -> float:
+    """Seconds that the prediction comes after the measurement, both in parts (n,) on uniform grids of ``period`` s.
 
-    The highest correlation within ``share`` of the recording either way, between samples by the parabola through it and
-    its neighbours. NaN where a curve does not move, or the highest is at the end of what was looked through.
+    The highest correlation within ``share`` of the longest part either way, between samples by the parabola through it
+    and its neighbours. NaN where a curve does not move, or the highest is at the end of what was looked through.
     Source: Knapp, Carter, IEEE Trans. ASSP 24 (1976) 320-327.
     """
-    reach = int(share * len(measured))
-    if reach < 1 or not np.ptp(measured) or not np.ptp(predicted):
+    reach = int(share * max(map(len, measured)))
+    if reach < 1 or not np.ptp(np.concatenate(measured)) or not np.ptp(np.concatenate(predicted)):
         return float("nan")
     found = correlations(measured, predicted, reach)
     k = first_best(found)

@@ -23,7 +23,8 @@ class Started:
         """In a sentence."""
         told = self.estimate
         if told.note:
-            return f"{self.model} on {told.record} starts as without an estimate: {told.note}"
+            there = "" if told.record == self.of else ", as if it began there"
+            return f"{self.model} on {told.record} starts as without an estimate{there}: {told.note}"
         if not told.states:
             return f"{self.model} on {told.record}: nothing to estimate at the start."
         first, last = told.seconds

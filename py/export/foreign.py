@@ -12,6 +12,7 @@ from fmpy import read_model_description
 from fmpy.model_description import ModelDescription
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.units import DELTA
 
 from .archive import read_file
 from .fmu_process.master import inputs_of, interpolates, is_scalar, unfed_of
@@ -19,10 +20,11 @@ from .fmu_process.trial import start_of
 from .rules import read_or_say
 from .rules.archive_rules import why_not_here
 from .rules.declared import Declared
-from .unit_meanings import Meaning, meaning_of, redefined
+from .unit_meanings import Meaning, is_difference, meaning_of, redefined
 from .whole_numbers import Whole, whole_of
 
 DESCRIPTION = "modelDescription.xml"
+DIFFERENCE = f"{DELTA}degC"  # what a difference of temperatures is declared in
 RELATIVE = "relativeQuantity"  # of a variable: it is a difference, and the zero of its unit does not count (FMI 2.2.7)
 
 
@@ -31,7 +33,7 @@ class Description:
     """Names, units and abilities of an FMU.
 
     scales : FMU variable -> (factor, offset), ``SI = factor * value + offset``. redefined : units that the FMU defines
-        otherwise than their names say, in sentences.
+        otherwise than their names say, in sentences. differences : variables that are differences of temperatures.
     starts : start parameter -> record name of the output whose first sample it takes.
     measured : the same of every start parameter that an output measures.
     states : state variables that have a ``<state>.start`` parameter; restarts: those are all there are.
@@ -63,6 +65,7 @@ class Description:
     left_out: tuple[str, ...] = ()
     elsewhere: str = ""
     redefined: tuple[str, ...] = ()
+    differences: frozenset[str] = frozenset()
 
     @property
     def fmu_names(self) -> dict[str, str]:
@@ -92,6 +95,11 @@ def describe_fmu(path: Path, names: Mapping[str, str], units: Mapping[str, str])
         scales={n: (m.factor, m.offset) for n, m in meanings.items()},
         unknown_units=tuple(n for n, m in meanings.items() if m.guessed),
         redefined=redefined(meanings),
+        differences=frozenset(
+            v.name
+            for v in md.modelVariables
+            if meanings[v.name].si == "K" and (is_difference(v) or units.get(v.name, "").startswith(DELTA))
+        ),
         starts={p: names.get(o, o) for p, o in starts.items() if o},
         measured={p: names.get(o, o) for p, o in measured.items() if o},
         states=states,

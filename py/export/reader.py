@@ -31,7 +31,7 @@ from .fmu_settings import (
     own_value,
     unrecorded,
 )
-from .foreign import Description, describe_fmu, kind_of
+from .foreign import DIFFERENCE, Description, describe_fmu, kind_of
 from .inside import fitted_recordings
 
 TIME_LIMIT = 120.0
@@ -375,6 +375,7 @@ def _signal(variable, description: Description) -> Signal:
         description.record_names[variable.name], description.units[variable.name], variable.description or "", nominal,
         interpolation=None if moving else "hold", chosen_by=None if moving else "model",
         default=description.starting.get(description.record_names[variable.name], 0.0),
+        written_in=DIFFERENCE if variable.name in description.differences else "",
     )  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record, all_unbroken, cuts
+from hydrotwin.records import Record, all_unbroken, as_needed, cuts
 from hydrotwin.simulation import Block, simulate
 
 from . import held_out
@@ -198,9 +198,13 @@ def held_out_of(
 def unbroken_for(records: Sequence[Record], inputs, outputs, model=None) -> list[Record]:
     """The parts of recordings between their holes: no block is trained, or runs, over what nobody measured.
 
-    Raises `DataError` for a recording of which no part is long enough.
+    Columns are what the model, or the signals, take them for. Raises `DataError` for a recording of which no part is
+    long enough.
     """
-    named = _names(model, records := list(records), inputs, outputs)
+    flat = getattr(model, "flat", model)
+    known = (*inputs, *outputs) if model is None else (*flat.inputs, *flat.outputs)
+    records = [as_needed(r, [s for s in known if isinstance(s, Signal)]) for r in records]
+    named = _names(model, records, inputs, outputs)
     return all_unbroken(records, [name for names in named for name in names])
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, nearest
-from hydrotwin.records import Record, all_unbroken, shares_samples
+from hydrotwin.records import Record, all_unbroken, as_needed, shares_samples
 from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
@@ -45,7 +45,8 @@ def validated(block: Block, validate: Sequence[Record]) -> Block:
     if not validate:
         return block
     outputs = [s.name for s in block.outputs if all(s.name in r for r in validate)]
-    given, validate = validate, all_unbroken(validate, [s.name for s in block.inputs])
+    needed = [as_needed(record, (*block.inputs, *block.outputs)) for record in validate]
+    given, validate = validate, all_unbroken(needed, [s.name for s in block.inputs])
     try:
         runs = [(simulate(block, record), record) for record in validate]
         misses = {n: np.concatenate([run[n] - record[n] for run, record in runs]) for n in outputs}

@@ -8,7 +8,19 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, UnitError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.models.language.units import compatible, convert, dimension, from_si, power, si_unit, to_si, way_out
+from hydrotwin.models.language.units import (
+    DELTA,
+    compatible,
+    convert,
+    dimension,
+    from_si,
+    is_difference,
+    parse_unit,
+    power,
+    si_unit,
+    to_si,
+    way_out,
+)
 
 from . import resampling
 from .record import Record
@@ -51,18 +63,44 @@ def without_unknown(record: Record, signals: Sequence[Signal]) -> Record:
 
 
 def as_needed(record: Record, signals: Sequence[Signal]) -> Record:
-    """The record with what 1/min means for ``signals``: read as revolutions, it is a rate where no angle is needed.
+    """The record with what its columns mean for ``signals``: 1/min, read as revolutions, is a rate where no angle is
+    needed, and 5 degC of what is declared as a difference (delta_degC) is 5 K.
 
     Whoever takes a column by the name of a signal takes it from here. A column of another dimension stays as it is.
+    Raises `UnitError` for a column that is a difference of temperatures to one and a temperature to another.
     """
-    values, units = {}, {}
-    for signal in signals:
-        own = record.units.get(signal.name, signal.unit)
-        shown = record.display_units.get(signal.name, own)
-        if not compatible(own, signal.unit) and compatible(shown, signal.unit):
-            counted = convert(from_si(record[signal.name], shown), shown, signal.unit)
-            values[signal.name], units[signal.name] = to_si(counted, signal.unit)
-    return record.with_signals(values, units, units) if values else record
+    values: dict[str, np.ndarray] = {}
+    units, displayed = {}, {}
+    differences = {s.name for s in signals if is_difference(s.written_in)}
+    for signal in (s for s in signals if s.name in record.units):
+        name, own = signal.name, record.units[signal.name]
+        shown = record.display_units.get(name, own)
+        if _zero_of(signal.written_in) and (name in differences or is_difference(shown)):
+            _refuse_both(record, signal)
+        if name in values:
+            continue
+        if name in differences and _zero_of(shown):
+            values[name], units[name] = record[name] - _zero_of(shown), own
+            displayed[name] = DELTA + shown.replace("°", "deg")
+        elif not compatible(own, signal.unit) and compatible(shown, signal.unit):
+            counted = convert(from_si(record[name], shown), shown, signal.unit)
+            values[name], units[name] = to_si(counted, signal.unit)
+            displayed[name] = units[name]
+    return record.with_signals(values, units, displayed) if values else record
+
+
+def _refuse_both(record: Record, signal: Signal) -> None:
+    zero, shown = _zero_of(signal.written_in), signal.written_in
+    raise UnitError(
+        f"{record.source or record.name}: '{signal.name}' is a difference of temperatures to one (delta_degC, as a "
+        f"model or the recording has it), and a temperature in {shown} to another: one of both is wrong by {zero:g} K. "
+        "Declare it alike, or call one otherwise."
+    )
+
+
+def _zero_of(unit: str) -> float:
+    """Where the zero of a unit lies in SI: 273.15 of degC; 0 of others, and of none."""
+    return parse_unit(unit).offset if unit else 0.0
 
 
 def known_inputs(record: Record, inputs: Sequence[Signal], model_name: str) -> Record:

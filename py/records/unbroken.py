@@ -16,11 +16,11 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 
 from .record import Record, Whole
-from .steps import few_lost, holes_at, missing_at
+from .steps import few_lost, holes_at, missing_at, usual
 
 ENOUGH = 0.5  # of the samples: cut at every one that is missing, a recording would lose more
 FEWEST = 50  # samples of a part that tells more than where it starts
-OWN_STEP = 1.5  # of its own median steps: a longer stretch without a sample is a gap in an input, not its slower raster
+OWN_STEP = 1.5  # of its own usual steps: a longer stretch without a sample is a gap in an input, not its slower raster
 SHOWN = 3  # holes that a sentence names
 
 
@@ -86,8 +86,9 @@ def unknown_stretches(time: np.ndarray, values: np.ndarray) -> np.ndarray:
         return ~known
     edges = np.concatenate([time[:1], own, time[-1:]])
     after = np.searchsorted(own, time, side="right")
-    longer = edges[after + 1] - edges[after] > OWN_STEP * np.median(np.diff(own))
-    return ~known & longer
+    steps = usual(np.diff(own))
+    longer = np.diff(edges) > OWN_STEP * np.concatenate([steps[:1], steps, steps[-1:]])
+    return ~known & longer[after]
 
 
 def _part(record: Record, at: slice, name: str, whole: Whole) -> Record:

@@ -21,13 +21,13 @@ THEIRS = (
 
 
 def test_a_curve_is_rated_one_against_itself():
-    found = rating(SWING, SWING)
+    found = rating([SWING], [SWING])
     assert (found.corridor, found.phase, found.magnitude, found.slope) == (1.0, 1.0, 1.0, 1.0)
     assert found.overall == pytest.approx(1.0)
 
 
 def test_a_scaled_curve_has_the_slope_and_the_corridor_of_paper():
-    found = rating(SWING, 0.8 * SWING)
+    found = rating([SWING], [0.8 * SWING])
     off = 0.2 * np.abs(SWING) / np.abs(SWING).max()
     assert found.slope == pytest.approx(1 - 0.2 / 2)
     assert found.corridor == pytest.approx(np.mean(np.minimum((0.5 - off) / 0.45, 1.0) ** 2))
@@ -37,7 +37,7 @@ def test_a_scaled_curve_has_the_slope_and_the_corridor_of_paper():
 def test_a_late_curve_loses_phase_alone():
     pulse = np.exp(-(((TIME - 0.4) / 0.05) ** 2))
     late = np.exp(-(((TIME - 0.5) / 0.05) ** 2))
-    found = rating(pulse, late)
+    found = rating([pulse], [late])
     assert found.phase == pytest.approx(1 - 40 / (0.2 * 401))
     assert found.magnitude == pytest.approx(1.0) and found.slope == pytest.approx(1.0)
     assert found.corridor < 0.9
@@ -48,15 +48,15 @@ def test_the_ratings_are_those_of_another_program():
     x = np.linspace(0.0, 1.0, 200)
     measured = np.sin(2 * np.pi * 1.7 * x + 0.3) + 0.4
     predicted = 0.9 * np.sin(2 * np.pi * 2 * (x - 0.03)) + 0.1 * np.cos(40 * x) + 0.5
-    found = rating(measured, predicted)
+    found = rating([measured], [predicted])
     parts = (found.corridor, found.phase, found.magnitude, found.slope, found.overall)
     assert parts == pytest.approx(THEIRS, abs=1e-9)
 
 
 @pytest.mark.parametrize("curve", [np.ones(401), np.zeros(401)])
 def test_what_does_not_move_is_not_rated(curve):
-    assert np.isnan(rating(curve, SWING).overall) and np.isnan(rating(SWING, curve).overall)
-    assert np.isnan(lag(curve, SWING, 0.1, 0.2))
+    assert np.isnan(rating([curve], [SWING]).overall) and np.isnan(rating([SWING], [curve]).overall)
+    assert np.isnan(lag([curve], [SWING], 0.1, 0.2))
 
 
 def test_time_is_warped_along_the_path_of_least_sum():
@@ -90,7 +90,7 @@ def _least(a, b, reach):
 def test_correlations_are_those_of_numpy():
     random = np.random.default_rng(4)
     y, p = random.standard_normal(60), random.standard_normal(60)
-    found = correlations(y, p, 12)
+    found = correlations([y], [p], 12)
     for k in (-12, -5, 0, 3, 12):
         mine, theirs = (y[: 60 - k], p[k:]) if k >= 0 else (y[-k:], p[:k])
         assert found[12 + k] == pytest.approx(np.corrcoef(mine, theirs)[0, 1])
@@ -99,4 +99,4 @@ def test_correlations_are_those_of_numpy():
 @pytest.mark.parametrize("late", [-0.0137, 0.0, 0.0213])
 def test_the_lag_is_found_between_samples(late):
     pulse, moved = (np.exp(-(((TIME - at) / 0.08) ** 2)) for at in (0.5, 0.5 + late))
-    assert lag(pulse, moved, 1 / 400, 0.2) == pytest.approx(late, abs=1e-4)
+    assert lag([pulse], [moved], 1 / 400, 0.2) == pytest.approx(late, abs=1e-4)

@@ -95,6 +95,16 @@ def test_what_cannot_be_carried_along_is_refused_and_nothing_is_written(model, r
         assert not (tmp_path / "m.fmu").exists()
 
 
+def test_a_recording_with_a_hole_goes_along_in_parts(model, recordings, tmp_path):
+    rows = (recordings / "validate_1.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+    file, middle = tmp_path / "holed.csv", len(rows) // 2
+    file.write_text("".join(rows[:middle] + rows[middle + 40 :]), encoding="utf-8")
+    answer = hydrotwin("export", model, "--experiment", file, "--out", tmp_path / "m.fmu")
+    assert answer.code == 0 and "holed has a hole" in answer.said
+    again = json.loads(hydrotwin("check", tmp_path / "m.fmu", "--replay", "--json").out)
+    assert {r["experiment"] for r in again["replays"]} == {"reference", "holed (part 1)", "holed (part 2)"}
+
+
 def test_nothing_to_run_again_is_wrong_usage(fmu, tmp_path):
     path = edited(fmu, tmp_path / "m.fmu", {f"{INSIDE}fmi-ls-manifest.xml": None})
     answer = hydrotwin("check", path, "--replay")

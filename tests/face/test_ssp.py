@@ -85,6 +85,26 @@ def test_each_recording_brings_its_start(packed, recordings):
         assert starts["identified.arm.angle.start"] == starts["bought.arm_angle.start"] == pytest.approx(angle)
 
 
+def test_a_recording_with_a_hole_lies_in_the_archive_as_the_parts_that_were_run(recordings, tmp_path):
+    """Each begins where its runs did: the start behind the hole had been that of the whole recording."""
+    rows = (recordings / "validate_1.csv").read_text(encoding="utf-8").splitlines()
+    middle = len(rows) // 2
+    holed = tmp_path / "holed.csv"
+    holed.write_text("\n".join(rows[:middle] + rows[middle + 40 :]), encoding="utf-8")
+    archive, words = tmp_path / "holed.ssp", ("--mode", "free run", "--output", "arm_angle", "--out", tmp_path / "r")
+    answer = hydrotwin("compare", "--model", "cehA", "--validate", holed, *words, "--ssp", archive)
+    assert answer.code == 0, answer.said
+    with zipfile.ZipFile(archive) as files:
+        lengths = {n: len(files.read(n).splitlines()) for n in files.namelist() if n.endswith(".csv")}
+    assert list(lengths) == ["resources/holed_part_1.csv", "resources/holed_part_2.csv"]
+    assert sum(lengths.values()) == len(rows) - 40 + 1
+    (estimated,) = json.loads((tmp_path / "r" / "compare.json").read_text(encoding="utf-8"))["starts"]
+    first, second = (values(archive, f"start_holed_part_{k}") for k in (1, 2))
+    assert first["cehA.arm.angle.start"] == pytest.approx(ht.read_record(holed)["arm_angle"][0])
+    for state in estimated["states"]:
+        assert second[f"cehA.{state['name']}.start"] == state["value"]
+
+
 def test_models_in_a_loop_are_packed_with_their_controller(tmp_path):
     source = SHIPPED / "cehA/closed_loop"
     short(source / "measured.csv", tmp_path / "measured.csv", 3.0)

@@ -51,6 +51,24 @@ def test_uneven_steps_lack_nothing_until_one_is_far_longer_than_the_usual_long_o
     assert not len(missing_at(two_rasters))
 
 
+def test_a_logger_that_turns_slower_lacks_nothing():
+    """Ten times slower, every step was a hole, and all of its samples were left out."""
+    time = np.concatenate([np.arange(0, 20, 0.01), np.arange(20, 60, 0.1), np.arange(60, 70, 0.01)])
+    assert missing_at(time).tolist() == [] == holes_at(time).tolist() and few_lost(time) == 0
+    slow = np.delete(time, [2100, *range(2200, 2210), *range(2600, 2700)])
+    assert holes_at(slow).tolist() == [2198, 2588] and few_lost(slow) == 1
+    whole = recording(time)
+    assert unbroken(whole, ["u"], every=True) == (whole,)
+
+
+def test_an_input_may_turn_slower_within_its_recording():
+    ticks = np.arange(2000)
+    slower = recording(even(2000), u=(ticks > 1000) & (ticks % 10 > 0))
+    assert unbroken(slower, ["u"]) == (slower,)
+    holed = recording(even(2000), u=(ticks > 1000) & (ticks % 10 > 0) | (ticks > 1400) & (ticks < 1500))
+    assert [len(part) for part in unbroken(holed, ["u"])] == [1401, 500]
+
+
 # -- parts -------------------------------------------------------------------------------------------------------------
 @pytest.mark.parametrize(
     ("made", "expected"),

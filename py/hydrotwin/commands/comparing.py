@@ -13,7 +13,7 @@ import typer
 
 from hydrotwin.models.language.errors import DeclarationError, SolveError, nearest
 from hydrotwin.models.language.writing import write_whole
-from hydrotwin.records import Reading, require
+from hydrotwin.records import Reading, all_unbroken, require
 
 from ..loading import load, origin
 from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
@@ -262,6 +262,7 @@ def check_ssp_version(path: Path | None, version: str) -> None:
 def pack(scenario, loaded: Loaded, comparison, path: Path, version: str) -> Path:
     """The models of a comparison as an SSP archive; those that cannot be in it are named."""
     from hydrotwin.comparison import load_contenders, things_of
+    from hydrotwin.comparison.elsewhere import input_names
     from hydrotwin.export import SystemPart, export_ssp
 
     parts, things = [], {one.name: one.thing for one in things_of(scenario, loaded)}
@@ -271,10 +272,10 @@ def pack(scenario, loaded: Loaded, comparison, path: Path, version: str) -> Path
             thing = getattr(contender, "block", contender)  # the model under the controller
         known = None if row.settings or scenario.loop else credibility_told(thing, row.model)
         told = shipped_values(row.model, thing), equations_told(thing), known
-        begun = [s for s in comparison.starts if s.model == contender.name]
-        starts = {s.of: s.estimate.values for s in reversed(begun)}  # of parts the first
+        starts = {s.estimate.record: s.estimate.values for s in comparison.starts if s.model == contender.name}
         parts.append(SystemPart(contender.name, thing, *told, starts))
-    archive = export_ssp(parts, path, records=comparison.records, title=comparison.title, version=version)
+    records = all_unbroken(comparison.records, input_names(comparison.entrants))  # the parts, each with its own start
+    archive = export_ssp(parts, path, records=records, title=comparison.title, version=version)
     for sentence in archive.left_out:
         mark(err, "note", f"{path}: {sentence}")
     return archive.path

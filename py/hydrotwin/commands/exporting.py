@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
-from hydrotwin.records import Reading, require
+from hydrotwin.records import Reading, all_unbroken, cuts, require
 
 from ..loading import load
 from .recording_evidence import known_of, tell_evidence
@@ -22,8 +22,10 @@ from .shared import (
     ModelArgument,
     StepOption,
     check_file,
+    err,
     examples,
     interpolation_from,
+    mark,
     out,
     print_json,
     table,
@@ -164,12 +166,16 @@ def _reference(thing, kind: str, method: str, step: float | None):
 
 
 def _experiments(thing, records, method: str, step: float | None) -> list:
-    """Recordings as experiments of the FMU, by its own method and step."""
+    """Recordings as experiments of the FMU, one with holes part by part, by its own method and step."""
     from hydrotwin.export import reference_experiment
 
     own = {} if not hasattr(thing, "flat") else {"method": method, "step": step}
+    inputs = getattr(thing, "flat", thing).inputs
     for record in records:
-        require(record, getattr(thing, "flat", thing).inputs, f"export: {record.name}")
+        require(record, inputs, f"export: {record.name}")
+    records = all_unbroken(records, [s.name for s in inputs])
+    for sentence in cuts(records):
+        mark(err, "note", sentence)
     return [reference_experiment(thing, record, **own) for record in records]
 
 

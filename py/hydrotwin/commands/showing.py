@@ -15,7 +15,7 @@ from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.quantities import wanted
 from hydrotwin.models.language.units import compatible
 from hydrotwin.models.language.writing import write_whole
-from hydrotwin.records import WRITTEN, Reading, cuts, joined, unbroken, write_record
+from hydrotwin.records import WRITTEN, Reading, as_needed, cuts, joined, unbroken, write_record
 from hydrotwin.records.between import between, settled
 
 from ..loading import load
@@ -98,6 +98,7 @@ def simulate(
     notes = tuple(getattr(thing, "notes", ()))
     thing = settled(thing, [record], interpolation_from(interpolation))
     contender = as_contender(thing)
+    record = as_needed(record, (*contender.inputs, *contender.outputs))
     parts = unbroken(record, [s.name for s in contender.inputs])
     if isinstance(thing, Block) or hasattr(thing, "flat"):
         tell_out_of_bounds(_parameters_of(thing), settings)

@@ -100,6 +100,8 @@ def precisely(job: Job, task: Task, found: Minimum) -> tuple[Task, Minimum, list
     Close to a kink a derivative is known as well as the run knows when it comes there, and precise runs look for that.
     """
     task, found, left = settled(task, found, job.iterations, job.seconds)
+    if time.process_time() > job.seconds:
+        return task, found, left
     precise = task_of(job, job.starts[0], _size(task, left), moving_starts(job))
     return settled(precise, found, job.iterations, job.seconds)
 

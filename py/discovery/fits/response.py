@@ -57,7 +57,10 @@ class Stretch:
 
 
 class Promise(NamedTuple):
-    """Of what is left: the share that is left with an effect, by which set of its parameters alone most, how large."""
+    """Of what is left: the share that is left with an effect; which of its sets alone explains most, and how large.
+
+    size : of that set, 0 where it explains no more than chance, or only the other way round.
+    """
 
     left: float
     which: int
@@ -304,12 +307,14 @@ def _without(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 
 def _promise(columns: np.ndarray, left: np.ndarray) -> Promise:
-    whole = float(np.sum(left**2))
+    """Of rows (n, k) and (n, 1). A size is told where it explains more than a parameter costs (Schwarz 1978)."""
+    whole, along = float(np.sum(left**2)), (columns.T @ left)[:, 0]
     if not whole > 0:
         return Promise(1.0, 0, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
-        sizes = (columns.T @ left)[:, 0] / np.sum(columns**2, axis=0)
-    alone = np.nan_to_num(sizes * (columns.T @ left)[:, 0], nan=0.0, posinf=0.0, neginf=0.0)
+        sizes = along / np.sum(columns**2, axis=0)
+    alone = np.nan_to_num(sizes * along, nan=0.0, posinf=0.0, neginf=0.0) * len(left) / whole
     which = int(np.argmax(alone))
+    surely = alone[which] > np.log(len(left)) and sizes[which] > 0
     together = float(np.sum(_without(columns, left) ** 2)) / whole
-    return Promise(together, which, float(sizes[which]) if alone[which] > 0 else 0.0)
+    return Promise(together, which, float(sizes[which]) if surely else 0.0)

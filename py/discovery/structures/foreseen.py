@@ -22,11 +22,13 @@ from .table import Entry, Table
 GROWN = 2  # structures, the best, to which effects are added
 SAMPLES = 1500  # of stretches in which windows leave most
 IN_ALL = 2000  # of whole recordings: a gap that shows in all of them alone is small
-LEAST = 0.01  # of a usual size, at which an effect begins that first order would rather have the other way round
 
 
 class Foreseen(NamedTuple):
-    """To first order: the share of what a structure leaves that is left with an effect, and its values, by path."""
+    """To first order: the share of what a structure leaves that is left with an effect, and its values, by path.
+
+    start : empty where nothing is expected of it.
+    """
 
     left: float
     start: dict[str, float]
@@ -107,9 +109,7 @@ def _foreseen(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate
             found.append((one, starts, along.of(model, sets)))
     promises = along.promises([response for *_, response in found]) if found else []
     return {
-        one.label: Foreseen(
-            promise.left, sized(one, starts[promise.which], promise.size if promise.size > 0 else LEAST)
-        )
+        one.label: Foreseen(promise.left, sized(one, starts[promise.which], promise.size) if promise.size > 0 else {})
         for (one, starts, _), promise in zip(found, promises, strict=True)
     }
 

@@ -92,7 +92,8 @@ class Jobs:
         That is where windows led it, where its fit bent it far from there, and it begins there itself. Where a part of
         the structure was fitted, from where that ended, too: it is never to look worse than its part.
         """
-        base, starts = self.table.entry(), self.starts(entry)
+        base = self.table.entry()
+        starts = self._together(entry.members, base, expected=True)
         known = base.look if entry.members and base.look.left is not None else base.fitted
         begin = self.led or known.values
         little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
@@ -178,13 +179,13 @@ class Jobs:
         """Starts of a structure from where another was fitted: what it has more at a tenth of a size, then as usual."""
         names, more = self.table.names(entry), [c for c in entry.members if c not in known.members]
         begin = {n: v for n, v in known.fitted.values.items() if n in names}
-        starts = self._together(more, known)
+        starts = self._together(more, known, expected=True)
         little = {n: v for c in more for n, v in small(c, starts[0]).items()}
         return [{**start, **begin} for start in (little, *starts)]
 
-    def _together(self, members: Sequence[Candidate], along: Entry) -> list[dict[str, float]]:
-        """Starts of several effects, first choices first."""
-        each = [self._expected(c, along) + self.starts_of(c, along) for c in members]
+    def _together(self, members: Sequence[Candidate], along: Entry, expected: bool = False) -> list[dict[str, float]]:
+        """Starts of several effects, first choices first; those that are expected belong to where ``along`` ended."""
+        each = [(self._expected(c, along) if expected else []) + self.starts_of(c, along) for c in members]
         together = itertools.islice(diagonal(each), TOGETHER if len(each) > 1 else None)
         return [{n: v for start in starts for n, v in start.items()} for starts in together]
 
@@ -194,7 +195,8 @@ class Jobs:
         Usual sizes may be a thousand times too large: of what integrates, a drop of oil shows.
         """
         _, known = self.table.foreseen.get(along.key, (None, {}))
-        return [known[candidate.label].start] if candidate.label in known else []
+        start = known[candidate.label].start if candidate.label in known else {}
+        return [start] if start else []
 
     def starts_of(self, candidate: Candidate, along: Entry) -> list[dict[str, float]]:
         """Values of one effect: from what its part would see along the run of a fitted structure, else usual ones."""

@@ -105,7 +105,7 @@ COMMANDS = {
     "simulate cehA": ["Missing option '--input'"],
     "simulate cehA --inptu good.csv": ["No such option: --inptu", "--input"],
     f"{SIMULATE} good.csv --step soon": ["--step: 'soon' is no number. Write --step 1ms"],
-    "learn nn good.csv --out block.toml --input command --output motor_speed --budget 0": ["'--budget'"],
+    "learn nn good.csv --out block.toml --input command --output motor_speed --budget 0": ["--budget"],
     # simulate
     f"simulate cehA {RUN} --set motor.gian=3": ["cehA.motor: no parameter 'gian'", "Did you mean 'motor.gain'?"],
     f"simulate cehA {RUN} --set motor.gain": ["--set motor.gain: no 'name=value'", "motor.gain=130"],

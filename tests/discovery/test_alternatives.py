@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -85,6 +87,31 @@ def test_where_the_gap_is_small_first_order_foresees_what_the_best_explains(smal
     base, best = small.table.entry(), entry(small, "coulomb_friction")
     shares = foreseen(small.table, small.jobs, base)
     assert shares[best.key[0]].left == pytest.approx(float(best.fitted.rmse[0] / base.fitted.rmse[0]) ** 2, rel=0.05)
+
+
+def test_first_order_says_how_large_an_effect_is_where_usual_sizes_are_thirty_times_too_large(small):
+    best = entry(small, "coulomb_friction")
+    name = next(n for n in best.members[0].free if n.endswith(".force"))
+    assert foreseen(small.table, small.jobs, small.table.entry())[best.key[0]].start[name] == pytest.approx(
+        2.0, rel=0.1
+    )
+    usual = small.jobs.starts_of(best.members[0], small.table.entry())
+    assert min(start[name] for start in usual) > 30.0
+
+
+def test_nothing_is_expected_of_what_explains_no_more_than_chance(small):
+    known = foreseen(small.table, small.jobs, small.table.entry())
+    scale = entry(small, "sensor_scale")
+    assert known[scale.key[0]].left > 0.995 and known[scale.key[0]].start == {}
+    assert small.jobs._expected(scale.members[0], small.table.entry()) == []
+
+
+def test_what_was_expected_beside_another_fit_of_the_base_is_forgotten(small):
+    base, best = small.table.entry(), entry(small, "coulomb_friction")
+    foreseen(small.table, small.jobs, base)
+    assert small.jobs._expected(best.members[0], base)
+    base.fitted = dataclasses.replace(base.fitted)
+    assert not small.jobs._expected(best.members[0], base)
 
 
 def test_what_first_order_says_to_explain_too_little_needs_no_look(small):

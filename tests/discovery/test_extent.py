@@ -72,3 +72,21 @@ def test_a_small_gap_in_long_recordings_is_looked_for_in_a_part_that_holds_its_s
     everywhere = extent(table, lambda over: np.full(len(over), 0.06))
     assert everywhere == 300, "half of 1800 samples; twice as much would be too long"
     assert extent(table, lambda over: 0.1 * (over > 0.7)) == 600
+
+
+def test_the_beginnings_of_long_recordings_lead_the_base_and_short_ones_are_taken_whole(monkeypatch):
+    def ends(runs):
+        search, seen = begun(runs, ("coulomb_friction",)), []
+        run = search.run
+        search.run = lambda function, jobs, stage: (
+            seen.extend(len(j.question.fit[0].time) for j in jobs if j.stages is None), run(function, jobs, stage)
+        )[1]  # fmt: skip
+        return search.identify().fitted, seen
+
+    short, seen = ends(records(3))
+    assert set(seen) == {600}
+    monkeypatch.setattr(extents, "LONG", 1000)
+    monkeypatch.setattr(extents, "BRIEF", 450)
+    long, seen = ends(records(3))
+    assert seen[0] == 150 and set(seen[1:]) == {600}, "the answer is that of all samples"
+    assert long.values == pytest.approx(short.values, rel=1e-3)

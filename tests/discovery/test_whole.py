@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.discovery.fits import whole
 from hydrotwin.discovery.fits.job import Job
 from hydrotwin.discovery.fits.whole import as_look, conclude, fit, glance, trajectories
 from hydrotwin.models.language import Model
@@ -55,6 +56,16 @@ def test_a_fit_from_a_quarter_off_ends_at_the_noise_with_the_true_values(plain):
     assert found.rmse == pytest.approx([NOISE], rel=0.05) and found.converged
     assert found.values == pytest.approx({"mass.mass": MASS, "mass.damping": DAMPING}, rel=0.005)
     assert found.left.counts.sum() == 1800 and not found.at_bound
+
+
+@pytest.mark.parametrize(("seconds", "precisions"), [(60.0, [True, False]), (0.0, [True])])
+def test_a_fit_goes_to_its_minimum_in_rough_runs_and_ends_in_precise_ones_while_it_has_time(
+    monkeypatch, seconds, precisions
+):
+    asked, made = [], whole.task_of
+    monkeypatch.setattr(whole, "task_of", lambda *a: (asked.append(len(a) > 4 and a[4]), made(*a))[1])
+    assert fitted(question(records(1)), seconds=seconds).rmse < 0.1
+    assert asked == precisions
 
 
 def test_an_effect_is_fitted_with_the_base(rubbing):

@@ -95,9 +95,10 @@ def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
 
 
 def precisely(job: Job, task: Task, found: Minimum) -> tuple[Task, Minimum, list[np.ndarray]]:
-    """Weights and minimum in turns from where rough runs led, in rough runs first: the last steps alone are dear.
+    """Weights and minimum in turns from where rough runs led: in rough runs, then in precise ones.
 
-    Close to a kink a derivative is known as well as the run knows when it comes there, and precise runs look for that.
+    A derivative across a kink is as good as the time at which the run meets it, and precise runs search for that
+    time: they are many times as dear. One that ran out of its seconds stays where rough runs led it.
     """
     task, found, left = settled(task, found, job.iterations, job.seconds)
     if time.process_time() > job.seconds:

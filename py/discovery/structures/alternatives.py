@@ -122,10 +122,10 @@ class Alternatives:
 
         It tells that where the rest was fitted, and where it foresees there what the best explains in fact.
         """
-        own = 1 - known[_new(best, rest)].left if _new(best, rest) in known else 0.0
-        if not own or not rest.fitted.converged:
+        if _new(best, rest) not in known or not rest.fitted.converged:
             return list(others)
-        if own < FORESEEN * (1 - float(np.nanmean((best.fitted.rmse / rest.fitted.rmse) ** 2))):
+        own = 1 - known[_new(best, rest)].left
+        if not own > FORESEEN * _explained(best, rest):
             return list(others)
         found = []
         for entry in others:
@@ -201,6 +201,13 @@ class Alternatives:
 def _new(entry: Entry, rest: Entry) -> str:
     """The label of the effect that a structure has beside the rest."""
     return next(label for label in entry.key if label not in rest.key)
+
+
+def _explained(best: Entry, rest: Entry) -> float:
+    """Share of the squared errors of the rest that the best explains, in the mean over outputs; 1 of nothing."""
+    own, other = best.fitted.rmse, rest.fitted.rmse
+    known = np.isfinite(own) & (other > 0)
+    return 1 - float(np.mean((own[known] / other[known]) ** 2)) if known.any() else 1.0
 
 
 def batches(entries: Sequence[Entry], size: int) -> Iterator[Sequence[Entry]]:

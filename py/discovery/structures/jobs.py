@@ -131,7 +131,7 @@ class Jobs:
         return Job(table.model(entry).flat, table.names(entry), table.question, tuple(starts), label=label, **settings)
 
     def from_part(self, entry: Entry, part: Entry) -> Job:
-        """The fit from where a part of it ended, with the rest at a tenth of the usual size."""
+        """The fit from where a part of it ended, with the rest at a tenth of its expected, or usual, size."""
         known = part.fitted
         return self.of(entry, self.beside(entry, part)[:1], states=known.states, size=known.rmse)
 
@@ -194,9 +194,10 @@ class Jobs:
 
         Usual sizes may be a thousand times too large: of what integrates, a drop of oil shows.
         """
-        _, known = self.table.foreseen.get(along.key, (None, {}))
-        start = known[candidate.label].start if candidate.label in known else {}
-        return [start] if start else []
+        fitted, known = self.table.foreseen.get(along.key, (None, {}))
+        if fitted is not along.fitted or candidate.label not in known or not known[candidate.label].start:
+            return []
+        return [known[candidate.label].start]
 
     def starts_of(self, candidate: Candidate, along: Entry) -> list[dict[str, float]]:
         """Values of one effect: from what its part would see along the run of a fitted structure, else usual ones."""

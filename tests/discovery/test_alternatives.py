@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.discovery.answer.rows import rows_of
 from hydrotwin.discovery.answer.standing import standing
 from hydrotwin.discovery.structures import alternatives
 from hydrotwin.discovery.structures.alternatives import FIRST
@@ -121,6 +122,8 @@ def test_what_first_order_says_to_explain_too_little_needs_no_look(small):
     assert {j.label.split(" at ")[0] for j in asked if " at " in j.label} == {"presliding_friction"}
     assert all(entry(small, name).asked for name in EFFECTS[1:]) and small.table.unseen() == 0.0
     assert entry(small, "presliding_friction").fitted and entry(small, "null_bias").beside > 0.9
+    whys = {row.effect: row.reason for row in rows_of(standing(small.table), (), None)}
+    assert whys["null_bias"].startswith("to first order it explains less than half")
 
 
 def test_where_first_order_did_not_foresee_the_best_all_others_are_looked_at(small, monkeypatch):

@@ -77,6 +77,11 @@ def _fate(table: Table, entry: Entry, c: Candidate, named: Candidate | None, mem
         return "cannot be added", entry.failed
     if not testable(entry, c):
         return "not testable", "it would not show in these recordings, whatever its size"
+    if not entry.fitted and entry.foreseen:
+        return (
+            "not fitted",
+            "to first order it explains less than half of what the best explains, which first order foresaw",
+        )
     if not entry.fitted and entry.asked:
         return "not fitted", "a few steps from where the best ended, it leaves more of the gap than what was fitted"
     if not entry.fitted:

@@ -23,7 +23,8 @@ class Entry:
     """One structure. look, fitted : None until they are made; failed : why it cannot be fitted.
 
     beside : after a few steps from where the best structure ended, in the place of one of its effects, the share of
-    what the others of its effects leave alone after as many; nan where nobody asked.
+    what the others of its effects leave alone after as many; nan where nobody asked. foreseen : whether that was asked
+    to first order alone, without a run: of what the best is foreseen to explain.
     """
 
     members: tuple[Candidate, ...]
@@ -31,6 +32,7 @@ class Entry:
     fitted: Fitted | None = None
     failed: str = ""
     beside: float = np.nan
+    foreseen: bool = False
 
     @property
     def key(self) -> Key:

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.stats import t as student
+from scipy.special import stdtrit
 
 STRETCHES = 3  # at least: parts that are fewer are cut, for of two alone nothing tells how far they are apart by chance
 NOTHING = 1e-300  # an error that is none, for its logarithm
@@ -45,7 +45,7 @@ def log_ratio(errors: Sequence[float], rival: Sequence[float]) -> tuple[float, f
 def surely_less(errors: Sequence[float], rival: Sequence[float]) -> bool:
     """Whether the errors are less than the rival's by more than chance over the stretches explains."""
     mean, error = log_ratio(errors, rival)
-    return bool(np.isfinite(error) and mean + student.ppf(SURE, len(errors) - 1) * error < 0)
+    return bool(np.isfinite(error) and mean + stdtrit(len(errors) - 1, SURE) * error < 0)
 
 
 def as_good(errors: Sequence[float], best: Sequence[float]) -> bool:

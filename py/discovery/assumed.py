@@ -60,7 +60,7 @@ def fairly(
         if not change.used:
             if not left or not _in_doubt(search, standing(search.table)):
                 break
-            if strays is None:
+            if strays is None and not search.table.explained():  # no effect explains what stands alone
                 strays = _stray_samples(search, asked.data)
                 asked = asked.without(strays)
                 if strays.left_out:
@@ -155,9 +155,19 @@ def _job(search: Search, entry: Entry, select=()) -> Job:
 
 
 def question_samples(job: Job) -> Strays:
-    """`spared` of a job's fit, where it ended, and of what selects then. Pure and picklable."""
+    """`spared` of a job's fit, where it ended, and of what selects then; none where its seconds do not do.
+
+    Pure and picklable.
+    """
+    job = job.beginning()
+
+    def report(*_) -> None:
+        if time.process_time() > job.seconds:
+            raise SolveError("The search without samples that stand alone has had its time.")
+
     try:
         task, found = _ended(job)
+        task = dataclasses.replace(task, report=report)
         effort, adaptable = Effort(None, 1, THOROUGH), np.isfinite(job.question.noise)
         task, minima, strays = outliers.spared(task, [found], effort, adaptable, _at_noise)
         if not (strays.left_out or _at_noise(task, minima[0])):

@@ -74,9 +74,9 @@ def as_it_stands(search: Search, data: Split, model: Model) -> Discovery:
 
 def _counted(search: Search) -> str:
     """How far it is."""
-    table = search.table
+    table, where = (search.part.table, ", in the beginnings of the recordings") if search.part else (search.table, "")
     alone = [table.entries.get((c.label,)) for c in table.candidates]
     looked = sum(bool(e and e.seen) for e in alone)
     fitted = sum(bool(e.members) for e in table.fitted)
     structures = "1 structure" if fitted == 1 else f"{fitted} structures"
-    return f"{looked} of {len(alone)} candidates were looked at so far, {structures} fitted"
+    return f"{looked} of {len(alone)} candidates were looked at so far, {structures} fitted{where}"

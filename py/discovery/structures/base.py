@@ -16,7 +16,7 @@ from hydrotwin.models.language.errors import SolveError
 from ..evidence.deciding import DECIDING
 from ..fits.job import Fitted, Look
 from ..fits.nearby import lowest_nearby
-from .extent import SHORT, brief, telling, with_fewer_windows
+from .extent import SHORT, telling, with_fewer_windows
 from .jobs import Jobs
 from .starts import different
 from .table import Entry, Table
@@ -42,11 +42,26 @@ class BaseFit:
 
         Raises SolveError where it diverges.
         """
+        first, base = self.lead(), self.entry
+        starts = different(self.jobs.whole(base).starts if base.look else ({},))
+        size, states = (base.look.size, base.look.states) if base.look else (None, ())
+        near = self._fit(starts, size, states, first)
+        if near and not first and not self.table.explained([base]):
+            (found,) = self.run([self.jobs.further(base)], lowest_nearby)
+            self.table.keep_better(base, found)
+        return first
+
+    def fit_from(self, known: Fitted, first: int) -> None:
+        """Fit it to all recordings from where that to their beginnings ended. Raises SolveError where it diverges."""
+        self._fit([known.values], known.rmse, known.states, first)
+
+    def lead(self) -> int:
+        """Lead the base through all windows; how many lengths of them show what is missing."""
         table, q, base = self.table, self.table.question, self.entry
         start = free_parameters(table.base.flat, table.free)
         lengths = tuple(horizons(table.base.flat, q.fit, start.vector(start.scaled(start.start))))
         table.question = dataclasses.replace(q, lengths=lengths)
-        if lengths:
+        if lengths and not self.jobs.begin:
             self.find_valley(detuned(table.base.flat, q.fit, start, q.usual))
         self._lead(SHORT)
         first, seen = telling(table), base.look
@@ -54,10 +69,6 @@ class BaseFit:
             base.look = None  # it begins anew with those
         self._lead(len(lengths))
         base.look = base.look or seen
-        self._fit(first)
-        if not base.fitted:
-            why = f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
-            raise SolveError(why)
         return first
 
     def further(self) -> None:
@@ -85,7 +96,7 @@ class BaseFit:
     def _lead(self, lengths: int) -> None:
         """Lead it through the first ``lengths`` of windows, where it has not gone through them."""
         base, known = self.entry, len(self.table.question.lengths)
-        if not (base.open and self.table.usable(base)) or (base.look and len(base.look.squares) >= min(lengths, known)):
+        if not self.table.usable(base) or (base.look and len(base.look.squares) >= min(lengths, known)):
             return
         (found,) = self.run([self.jobs.next(base, lengths)])
         if isinstance(found, Look):
@@ -95,21 +106,14 @@ class BaseFit:
         else:
             base.failed = found
 
-    def _fit(self, first: int) -> None:
+    def _fit(self, starts: Sequence[Mapping[str, float]], size, states, first: int) -> bool:
         """Fit it from where its windows ended, or where that leaves more than they did from all it came by.
 
         Where they show nothing missing it has to explain all, or each of these is tried to its end: all of a search may
         be spent on a base that came to rest beside its minimum. It may be so stiff there that a step takes seconds:
-        each start has a little time, the best goes on. Where recordings are long, their beginnings lead it there.
+        each start has a little time, the best goes on. Whether it leaves no more than what windows did.
         """
-        table, base = self.table, self.entry
-        starts = different(self.jobs.whole(base).starts if base.look else ({},))
-        size, states = (base.look.size, base.look.states) if base.look else (None, ())
-        part, near = brief(table.question), False
-        if part:
-            job = self.jobs.of(base, starts, size=size, states=states)
-            (found,) = self.run([dataclasses.replace(job, question=part)], lowest_nearby)
-            starts = [found.values] if isinstance(found, Fitted) else starts
+        table, base, near = self.table, self.entry, False
         for some in (starts[:1], starts[1:]):
             settings = {"size": size, "states": states, "seconds": self.jobs.effort.look}
             for found in self.run([self.jobs.of(base, [start], **settings) for start in some]):
@@ -120,6 +124,7 @@ class BaseFit:
         base.failed = "" if base.fitted else base.failed
         if not first:  # else it leaves far too much, wherever it would come to rest
             self.further()
-            if near and not part and not table.explained([base]):
-                (found,) = self.run([self.jobs.further(base)], lowest_nearby)
-                table.keep_better(base, found)
+        if not base.fitted:
+            why = f"gap: the base model cannot be identified ({base.failed}). Correct its start values first."
+            raise SolveError(why)
+        return bool(near)

@@ -16,6 +16,7 @@ from ..fits.job import Fitted, Job, Look, Question, factor
 from ..fits.whole import as_look, led, step
 from .alternatives import Alternatives, batches
 from .base import LEFT, SAME, BaseFit
+from .beginning import beginning_of, from_there, shows, take_over, told
 from .ends import Freed, OutOfTime, Surprised
 from .extent import enough_of, telling
 from .foreseen import beside, larger, singles
@@ -39,7 +40,7 @@ class Search:
     pause : called with the search between its batches of jobs. surprises : structures that explain all in short
     windows, whose starts are free, and not in longer runs. least : nats that the best structure left from where the
     base was fitted, too. stood, grown : structures that were fitted as they stood,
-    and with what promises most beside them.
+    and with what promises most beside them. part : the search of the beginnings of long recordings, until it is done.
     """
 
     table: Table
@@ -54,6 +55,7 @@ class Search:
     least: float = np.inf
     stood: set = field(default_factory=set)
     grown: set = field(default_factory=set)
+    part: Search | None = None
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
@@ -86,6 +88,11 @@ class Search:
     def _go(self) -> None:
         if self.table.explained([self.identify()]):
             return
+        if self.part:
+            self._begin()
+        if self.table.explained():
+            self.alternatives.settle()
+            return
         if self.first:
             seen = self._through(min(self.most, BY_WINDOWS))
             if not self.table.explained():
@@ -95,6 +102,28 @@ class Search:
         self._through(self.most)
         self._climb(list(self.table.entries.values()), self.effort.fits)
         self.alternatives.settle()
+
+    def _begin(self) -> None:
+        """Search the beginnings of long recordings, and fit to all of them what explains those.
+
+        Where that is not all, the search goes through all of them, as it does where beginnings do not show the gap.
+        """
+        part = self.part
+        if shows(part.table, self.table):
+            if surprise := part.go():
+                self.surprises.append(surprise)
+                raise Surprised
+            known = told(part.table, self.effort.together if part.complete else FIRST)
+            take_over(self, part)
+            entries = [self.table.entry(e.members) for e in known]
+            self._take(entries, self.run(step, [from_there(self, e) for e in known], "search"))
+            self.part = None
+            if not part.complete:
+                raise OutOfTime
+            self._settle(entries)
+        self.part = None
+        if not self.table.explained():
+            self.first = self.base.lead()
 
     def _through(self, most: int) -> list[Entry]:
         """Go through structures of up to ``most`` effects until one explains all: those that promise much."""
@@ -133,7 +162,13 @@ class Search:
     def identify(self) -> Entry:
         """The base, fitted. Raises SolveError where it diverges."""
         base = self.table.entry()
-        self.first = self.first if base.fitted else self.base.identify()
+        if not base.fitted:
+            self.part = beginning_of(self)
+            if self.part:
+                self.base.fit_from(self.part.identify().fitted, self.part.first)
+                self.jobs.begin = self.part.jobs.begin
+            else:
+                self.first = self.base.identify()
         return base
 
     def take_looks(self, before: Search) -> None:
@@ -141,6 +176,8 @@ class Search:
 
         A fit under another assumption is one more start. What was surprising is fitted at once.
         """
+        if self.part and before.part:
+            self.part.take_looks(before.part)
         one, other = self.table.question, before.table.question
         if (one.lengths, one.windows) != (other.lengths, other.windows):
             return

@@ -1,0 +1,73 @@
+"""Long recordings: beginnings are searched first, what explains those is held against all, and the rest is searched."""
+
+import pytest
+
+import hydrotwin.discovery.structures.extent as extents
+from hydrotwin.discovery.answer import so_far
+from hydrotwin.discovery.answer.standing import standing
+from tests.discovery.slides import NOISE, begun, found, records
+
+SOME = ("coulomb_friction", "null_bias", "dead_time", "sensor_bias", "sensor_scale", "command_saturation")
+ALL, PART = 600, 300  # samples of a recording, and of its beginning
+
+
+@pytest.fixture(autouse=True)
+def long(monkeypatch):
+    """Recordings of 12 s are long, and half of them is enough."""
+    monkeypatch.setattr(extents, "LONG", 1000)
+    monkeypatch.setattr(extents, "BRIEF", 3 * PART)
+
+
+def gone_through(runs, effects=SOME):
+    """The search at its end, and of every job how many samples of a recording it was asked about."""
+    search, seen = begun(runs, effects), []
+    run = search.run
+    search.run = lambda function, jobs, stage: (
+        seen.extend(len(j.question.fit[0].time) for j in jobs), run(function, jobs, stage)
+    )[1]  # fmt: skip
+    search.go()
+    return search, standing(search.table), seen
+
+
+def test_what_explains_the_beginnings_is_fitted_to_all_and_hardly_anything_else_is_run_there():
+    search, said, seen = gone_through(records(3, dry=30.0))
+    assert said.verdict == "named" and [c.id for c in said.order] == ["coulomb_friction"]
+    assert next(v for n, v in said.best.fitted.values.items() if n.endswith(".force")) == pytest.approx(30.0, rel=0.03)
+    assert sum(said.best.fitted.left.counts.sum(axis=0)) == pytest.approx(3 * ALL, rel=0.01)
+    assert said.probability(said.best.key[0]) == pytest.approx(0.97, abs=0.01)
+    assert seen.count(ALL) <= 4 < seen.count(PART)
+    assert search.complete and search.part is None
+
+
+def test_what_begins_later_is_searched_for_in_all():
+    """In the first half nothing rubs, so the beginnings hold none of the gap."""
+    search, said, seen = gone_through(
+        records(3, dry=0.0, then=30.0), ("late_friction", "coulomb_friction", "null_bias")
+    )
+    assert search.table.score(search.table.entry()) > 1000.0
+    assert seen.count(ALL) > seen.count(PART), "a base, and no search"
+    assert said.best is not None and any("friction" in c.id for c in said.order)
+
+
+def test_what_explains_the_beginnings_alone_gets_no_name():
+    """Friction everywhere, and from the middle on a push that no effect holds."""
+    _, said, seen = gone_through(records(3, dry=30.0, leaning=80.0), ("coulomb_friction", "dead_time"))
+    assert said.verdict == "unknown"
+    assert seen.count(ALL) > 4, "it is searched for in all"
+
+
+def test_nothing_is_missing_where_nothing_is():
+    _, said, seen = gone_through(records(3))
+    assert said.verdict == "none"
+    assert len(seen) < 10
+
+
+def test_while_the_beginnings_are_searched_the_answer_so_far_counts_what_was_looked_at_there(monkeypatch):
+    monkeypatch.setattr(so_far, "AFTER", 0.0)
+    monkeypatch.setattr(so_far, "EVERY", 0.0)
+    monkeypatch.setattr(so_far, "COSTS", 1.0)
+    told = []
+    said = found(records(3, dry=30.0), SOME, noise={"speed": NOISE}, so_far=told.append)
+    assert said.verdict == "named"
+    counted = [one.findings[0] for one in told]
+    assert any("4 of 6 candidates were looked at so far, 1 structure fitted, in the beginnings" in c for c in counted)

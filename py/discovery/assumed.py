@@ -49,7 +49,7 @@ def fairly(
     """
     given_up: list[Change] = []
     search = begin(asked)
-    moving = Change() if search.table.explained() else _questioned(search, search.table.entry(), question_starts)
+    moving = Change() if search.table.explained() else _questioned_of_starts(search.part or search)
     if moving.free_starts and not moving.inputs:  # before any effect is named: nobody measured where it began
         given_up.append(moving)
         asked = again(asked.model, "free")
@@ -192,6 +192,11 @@ def _questioned(search: Search, entry: Entry, asked: Callable[[Job], Change] | N
     asked = asked or (question_beside if entry.members else question)
     (answer,) = search.run(asked, [_job(search, entry)], STAGE)
     return answer
+
+
+def _questioned_of_starts(search: Search) -> Change:
+    """Whether what the base leaves comes from starts that nobody measured; of long recordings the beginnings say so."""
+    return _questioned(search, search.table.entry(), question_starts)
 
 
 def question_starts(job: Job) -> Change:

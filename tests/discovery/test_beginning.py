@@ -14,7 +14,7 @@ ALL, PART = 600, 300  # samples of a recording, and of its beginning
 @pytest.fixture(autouse=True)
 def long(monkeypatch):
     """Recordings of 12 s are long, and half of them is enough."""
-    monkeypatch.setattr(extents, "LONG", 1000)
+    monkeypatch.setattr(extents, "MANY", 1000)
     monkeypatch.setattr(extents, "BRIEF", 3 * PART)
 
 

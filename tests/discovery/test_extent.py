@@ -85,7 +85,7 @@ def test_the_beginnings_of_long_recordings_lead_the_base_and_short_ones_are_take
 
     short, seen = ends(records(3))
     assert set(seen) == {600}
-    monkeypatch.setattr(extents, "LONG", 1000)
+    monkeypatch.setattr(extents, "MANY", 1000)
     monkeypatch.setattr(extents, "BRIEF", 450)
     long, seen = ends(records(3))
     assert seen[0] == 150 and set(seen[1:]) == {600}, "the answer is that of all samples"

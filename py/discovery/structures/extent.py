@@ -15,7 +15,8 @@ SHORT = 2  # lengths of windows in which a large gap shows
 ENOUGH = 1000.0  # nats that the base leaves in what is looked through: more would cost time and tell no more
 FEWEST = 40  # windows of a length
 LONG = 15000  # samples of all recordings from which on a look goes through no more of them than it must
-BRIEF = 5000  # samples, from their beginnings, of recordings as long, that lead the base to its minimum
+MANY = 9000  # samples of all recordings from which on their beginnings are searched first
+BRIEF = 5000  # samples of those beginnings
 PARTS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of every recording, from its beginning, that may do for a look
 FAIR = 0.5  # of the gap in all recordings, in proportion: what acts later than in such a part is looked for in all
 
@@ -51,7 +52,7 @@ def beginnings(question: Question, part: float) -> Question:
 def brief(question: Question) -> Question | None:
     """The question of the beginnings of long recordings; None where they are not."""
     samples = sum(len(r.time) for r in question.fit)
-    return beginnings(question, BRIEF / samples) if samples > LONG else None
+    return beginnings(question, BRIEF / samples) if samples > MANY else None
 
 
 def enough_of(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from types import SimpleNamespace
 
@@ -72,6 +73,19 @@ def test_samples_that_stand_alone_are_left_out_of_every_recording_and_told(outpu
     assert before.rmse_after < 1.2 * before.noise
 
 
+def test_the_search_without_such_samples_ends_with_its_time(monkeypatch):
+    """It goes through all starts of `identify`: three recordings of two minutes took five minutes of processor."""
+    plain, said = assumed.question_samples, []
+
+    def at_once(job):
+        said.append(plain(dataclasses.replace(job, seconds=0.0)))
+        return said[-1]
+
+    monkeypatch.setattr(assumed, "question_samples", at_once)
+    answer = found([spoiled(moved(s, held(steps(s))), (40, 41, 300)) for s in range(3)], slide("hold"))
+    assert said and not said[0].left_out and answer.verdict == "unknown"
+
+
 def test_a_recording_that_judges_alone_may_have_such_samples():
     runs = [moved(s, held(steps(s))) for s in range(3)]
     answer = found(runs, slide("hold"), validate=[spoiled(moved(3, held(steps(3))), (50, 90, 91))])
@@ -118,6 +132,7 @@ def doubting(monkeypatch, best, doubt):
         begun.append(asked.initial_states)
         table = SimpleNamespace(entry=lambda: None, explained=lambda: False)
         return SimpleNamespace(
+            part=None,
             go=lambda: None, complete=True, until=np.inf, table=table,
             take_looks=lambda before: None,
         )  # fmt: skip
@@ -160,7 +175,12 @@ def test_what_was_found_stands_where_the_time_ends_a_search_that_began_anew(ende
             entry=lambda: "base", explained=lambda: False, kept=("leak",) if first else (), first=first
         )
         search = SimpleNamespace(
-            go=lambda: None, complete=first or ended, until=np.inf, table=table, take_looks=lambda before: None
+            part=None,
+            go=lambda: None,
+            complete=first or ended,
+            until=np.inf,
+            table=table,
+            take_looks=lambda before: None,
         )
         made.append(search)
         return search

@@ -166,8 +166,10 @@ def test_no_more_windows_are_looked_through_than_show_the_gap():
     assert large.table.visible(large.first - 1) > DECIDING.visible
 
 
-def test_a_start_that_nobody_measured_is_asked_before_any_effect(monkeypatch):
-    done = []
+@pytest.mark.parametrize("long", [False, True])
+def test_a_start_that_nobody_measured_is_asked_before_any_effect(long, monkeypatch):
+    """Of long recordings the beginnings are asked, which cost less and say as much of starts."""
+    done, questioned = [], []
 
     def asked(model, initial_states):
         one = SimpleNamespace(model=model, initial_states=initial_states, data=None)
@@ -176,16 +178,22 @@ def test_a_start_that_nobody_measured_is_asked_before_any_effect(monkeypatch):
 
     def begin(one):
         done.append(("begin", one.initial_states))
+        table = SimpleNamespace(entry=lambda: None, explained=lambda: one.initial_states == "free")
+        part = SimpleNamespace(table=table) if long else None
         return SimpleNamespace(
-            go=lambda: done.append(("go", one.initial_states)), complete=True, until=np.inf,
-            table=SimpleNamespace(entry=lambda: None, explained=lambda: one.initial_states == "free"),
-        )  # fmt: skip
+            go=lambda: done.append(("go", one.initial_states)), complete=True, until=np.inf, table=table, part=part
+        )
+
+    def question(search, entry, asked=None):
+        questioned.append(search)
+        return Change(free_starts=True)
 
     monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=SimpleNamespace(members=())))
     monkeypatch.setattr(assumed, "_in_doubt", lambda search, said: False)
-    monkeypatch.setattr(assumed, "_questioned", lambda search, entry, asked=None: Change(free_starts=True))
+    monkeypatch.setattr(assumed, "_questioned", question)
     monkeypatch.setattr(assumed, "_stray_samples_of_judges", lambda search, data: Strays())
     *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
+    assert [hasattr(search, "part") for search in questioned] == [not long]
     assert done == [("begin", "auto"), ("begin", "free"), ("go", "free")] and len(given_up) == 1
 
 

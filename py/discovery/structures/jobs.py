@@ -72,13 +72,19 @@ class Jobs:
             limit = self.effort.look if entry.members else self.effort.seconds
             if not lengths and entry.members:
                 return self.glance(entry, self.extent)
-            return self.of(entry, self.starts(entry), stages=(0, min(first, lengths)), seconds=limit)
+            starts = self.led_by_base(entry) or self.starts(entry)
+            return self.of(entry, starts, stages=(0, min(first, lengths)), seconds=limit)
         at = len(seen.squares)
         if at < lengths:
             end = at + 1 if entry.members else lengths
             limit = self.effort.look if entry.members else self.effort.seconds
             return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
         return self.whole(entry)
+
+    def from_its_start(self, entry: Entry, first: int) -> Job:
+        """The first look in windows from where the user put the base, effects at usual sizes."""
+        stages = (0, min(first, len(self.table.question.lengths)))
+        return self.of(entry, self.starts(entry), stages=stages, seconds=self.effort.look)
 
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""
@@ -93,16 +99,30 @@ class Jobs:
         the structure was fitted, from where that ended, too: it is never to look worse than its part.
         """
         base = self.table.entry()
-        starts = self._together(entry.members, base, expected=True)
         known = base.look if entry.members and base.look.left is not None else base.fitted
-        begin = self.led or known.values
-        little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
-        starts = [{**begin, **start} for start in (*starts, little)] if entry.members else [begin]
+        starts = self._with_effects(entry, self.led or known.values)
         part = min((e for e in self.table.parts(entry) if e.members), key=self.table.score, default=None)
         if part:
             known, starts = part.fitted, [*self.beside(entry, part)[:2], *starts]
         settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": base.fitted.rmse}
         return dataclasses.replace(self.of(entry, starts, **settings), question=question or self.table.question)
+
+    def led_by_base(self, entry: Entry) -> list[dict[str, float]]:
+        """Starts of a structure in windows: from where the shortest led the base, effects at any of their sizes.
+
+        There the base has hardly bent yet to hide what it lacks, and what it does without the effect it has done.
+        """
+        look = self.table.entry().look
+        known = entry.members and look and look.left is None
+        return self._with_effects(entry, look.shortest) if known else []
+
+    def _with_effects(self, entry: Entry, begin: Mapping[str, float]) -> list[dict[str, float]]:
+        """Starts from values of the base, effects at expected and usual sizes, or at a tenth of the first of these."""
+        if not entry.members:
+            return [dict(begin)]
+        starts = self._together(entry.members, self.table.entry(), expected=True)
+        little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
+        return [{**begin, **start} for start in (*starts, little)]
 
     def whole(self, entry: Entry) -> Job:
         """The fit to whole recordings from where its looks ended, or cheaper from where they came by or began."""

@@ -290,8 +290,18 @@ class Search:
         The base goes through all that are left at once. One that does worse than a part of it goes on from that.
         """
         known = [e for e in entries if e.open and self.table.usable(e)]
+        new = [e for e in known if not e.look and e.members and self.table.question.lengths]
         self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
+        self._look_again([e for e in new if not e.look or self.table.promise(e) > 1 + SAME], first)
         self._settle(known)
+
+    def _look_again(self, worse: Sequence[Entry], first: int) -> None:
+        """Look at structures that look worse than the base they contain from where the user put them, too."""
+        for e, found in zip(worse, self._ran([self.jobs.from_its_start(e, first) for e in worse]), strict=True):
+            before, promise = e.look, self.table.promise(e)
+            if isinstance(found, Look):
+                e.look, e.failed = found, ""
+                e.look = before if before and self.table.promise(e) > promise else found
 
     def _settle(self, known: Sequence[Entry]) -> None:
         """Fit again what may have come to rest beside its minimum, and ask what that says of the base."""

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hydrotwin.records.steps import holes_at
+
 # Okabe and Ito, Color Universal Design (2008): told apart with any colour vision. Without yellow: too pale on white.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F5539")
 MEASURED = "#1b1b1b"
 _DASHES = ("solid", "dash", "dot", "dashdot")
-HOLE = 5.0  # times the usual distance of known samples: a line ends there
 FINE = 1e-5  # of the range of an array: what rounding may move it in a plot, a fiftieth of the pixels of a wide screen
 
 
@@ -101,18 +102,20 @@ def decimate(time: np.ndarray, values: np.ndarray, points: int) -> tuple[np.ndar
     return time[keep], values[keep]
 
 
-def bridged(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The samples that are known; of NaN stays one where a hole is many times the usual distance of known samples.
+def outline(x: np.ndarray, values: np.ndarray, points: int, breaks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Known values (n,), decimated to at most ``points``, with a NaN behind each of ``breaks``, where a line ends."""
+    at, v = decimate(np.arange(len(x)), values, points)
+    x, ends = x[at], np.unique(np.searchsorted(at, breaks, side="right"))
+    return np.insert(x, ends, (x[ends - 1] + x[ends]) / 2), np.insert(v, ends, np.nan)
 
-    A slow sensor among fast ones has a value in every tenth row: a line between NaNs would not be drawn at all.
-    """
-    known = np.flatnonzero(~np.isnan(values))
-    if len(known) in (0, len(values)):
-        return time, values
-    steps = np.diff(known)
-    holes = known[:-1][steps > HOLE * np.median(steps)] + 1 if len(steps) else known[:0]
-    keep = np.sort(np.concatenate([known, holes]))
-    return time[keep], values[keep]
+
+def _drawn(x: np.ndarray, values: np.ndarray, points: int, recorded: bool) -> tuple[np.ndarray, np.ndarray]:
+    """What is drawn of a curve: a slow sensor among fast ones has a value in every tenth row, and is a line as well."""
+    known = ~np.isnan(values)
+    if not known.any() or (known.all() and not recorded):
+        return decimate(x, values, points)
+    x, values = x[known], values[known]
+    return outline(x, values, points, holes_at(x) if (np.diff(x) > 0).all() else np.zeros(0, dtype=int))
 
 
 def line(
@@ -127,9 +130,14 @@ def line(
     row: int = 1,
     legend: bool = True,
     hidden: bool = False,
+    recorded: bool = False,
 ) -> dict:
-    """A decimated line on axis row 1, 2, ... of a figure made by `layout`."""
-    t, v = bridged(*decimate(np.asarray(time, float), np.asarray(values, float), points))
+    """A decimated line on axis row 1, 2, ... of a figure made by `layout`.
+
+    recorded : it is over the time of a recording, and ends at its holes. Where values are unknown it ends at a hole in
+    what is known alone.
+    """
+    t, v = _drawn(np.asarray(time, float), np.asarray(values, float), points, recorded)
     return {
         "type": "scatter",
         "mode": "lines",

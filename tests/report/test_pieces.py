@@ -116,6 +116,21 @@ def test_a_slow_sensor_among_fast_ones_is_a_line_and_one_that_failed_for_a_while
     assert np.isnan(unpacked(never["y"])).all()
 
 
+@pytest.mark.parametrize("points", [2000, 100])
+def test_a_sensor_that_turns_slower_is_one_line_and_a_pause_ends_it(points):
+    """By the median of all its steps a line had ended at each of the slower samples."""
+    time = np.concatenate([np.arange(0.0, 10.0, 0.01), np.arange(10.0, 40.0, 0.1)])
+    fine = np.arange(0.0, 40.0, 0.01)
+    turned = np.where((fine < 10.0) | (np.arange(4000) % 10 == 0), fine, np.nan)
+    for x, y in ((time, time), (fine, turned)):
+        v = unpacked(line(x, y, "y", "#0072B2", points=points, recorded=True)["y"])
+        assert np.isfinite(v).all() and len(v) > points / 3
+    paused = np.where(time > 5.0, time + 30.0, time)
+    t, v = (unpacked(line(paused, time, "y", "#0072B2", points=points, recorded=True)[k]) for k in "xy")
+    assert np.isnan(v).sum() == 1 and 5.0 < t[np.isnan(v)][0] < 35.01
+    assert np.isfinite(unpacked(line(paused, time, "y", "#0072B2", points=points)["y"])).all()
+
+
 def test_a_line_carries_its_numbers_as_32_bit_floats():
     trace = line(np.array([0.0, 1.0]), np.array([2.0, 3.5]), "a<b>", "#0072B2")
     assert unpacked(trace["y"]).tolist() == [2.0, 3.5]

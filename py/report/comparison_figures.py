@@ -94,8 +94,8 @@ def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, l
             around, alone = ([to_shown(values + w, signal.unit, unit) for w in wide],
                              [difference_to_shown(w, signal.unit, unit) for w in wide])  # fmt: skip
             how = {"points": points, "hidden": name in hidden}
-            data += band(record.time, around, name, style.colour, row=1, **how)
-            errors += band(record.time, alone, name, style.colour, row=2, **how)
+            data.append(band(record.time, around, name, style.colour, row=1, **how))
+            errors.append(band(record.time, alone, name, style.colour, row=2, **how))
         errors.append(line(record.time, error, name, style.colour, row=2, legend=False, **drawn))
     data += errors
     label = pretty_unit(unit)

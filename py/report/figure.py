@@ -156,27 +156,38 @@ def line(
 
 def band(
     time: np.ndarray, sides: Sequence[np.ndarray], name: str, colour: str, *, row: int, points: int, hidden: bool
-) -> list[dict]:
-    """The area between two curves, low and high, in a pale colour; it comes and goes with the line of that name."""
-    t, low, high = (np.asarray(v, float) for v in (time, *sides))
-    keep = np.unique(np.linspace(0, len(t) - 1, min(points, len(t))).astype(int))
-    shared = {
+) -> dict:
+    """The area between two curves, low and high, in a pale colour; it comes and goes with the line of that name.
+
+    It ends at holes of the recording, each side with every peak, as lines do.
+    """
+    t, *both = (np.asarray(v, float) for v in (time, *sides))
+    known = np.isfinite(both[0] + both[1])
+    t, both = t[known], [side[known] for side in both]
+    edges = [np.split(v, holes_at(t) + 1) for v in (t, *both)]
+    areas = [_around(*piece, max(2, points * len(piece[0]) // max(1, len(t)))) for piece in zip(*edges, strict=True)]
+    return {
         "type": "scatter",
         "mode": "lines",
         "name": name,
         "legendgroup": name,
         "showlegend": False,
         "visible": "legendonly" if hidden else True,
-        "x": packed(t[keep]),
+        "x": packed(np.concatenate([x for x, _ in areas])),
+        "y": packed(np.concatenate([y for _, y in areas])),
         "xaxis": "x",
         "yaxis": "y" if row == 1 else f"y{row}",
         "hoverinfo": "skip",
         "line": {"width": 0, "color": colour},
+        "fill": "toself",
+        "fillcolor": _faded(colour, 0.16),
     }
-    return [
-        shared | {"y": packed(low[keep])},
-        shared | {"y": packed(high[keep]), "fill": "tonexty", "fillcolor": _faded(colour, 0.16)},
-    ]
+
+
+def _around(t: np.ndarray, low: np.ndarray, high: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """The way along the one side and back along the other, and a NaN, behind which the next area begins."""
+    (there, low), (back, high) = (decimate(t, side, points) for side in (low, high))
+    return np.concatenate([there, back[::-1], [np.nan]]), np.concatenate([low, high[::-1], [np.nan]])
 
 
 def packed(values: np.ndarray) -> dict:

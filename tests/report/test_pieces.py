@@ -30,7 +30,7 @@ from hydrotwin.report import (
     texts,
 )
 from hydrotwin.report.comparison_figures import error_range
-from hydrotwin.report.figure import unpacked
+from hydrotwin.report.figure import band, unpacked
 from hydrotwin.report.format import number_texts
 from hydrotwin.report.heat_map import heat_map
 
@@ -129,6 +129,24 @@ def test_a_sensor_that_turns_slower_is_one_line_and_a_pause_ends_it(points):
     t, v = (unpacked(line(paused, time, "y", "#0072B2", points=points, recorded=True)[k]) for k in "xy")
     assert np.isnan(v).sum() == 1 and 5.0 < t[np.isnan(v)][0] < 35.01
     assert np.isfinite(unpacked(line(paused, time, "y", "#0072B2", points=points)["y"])).all()
+
+
+@pytest.mark.parametrize("points", [2000, 100])
+def test_a_band_ends_at_a_pause_and_keeps_the_peaks_of_both_sides(points):
+    """It was filled over the pause, and its sides took every so-manieth sample, along another curve than the line's."""
+    time = np.arange(0.0, 10.0, 0.005)
+    wave = np.sin(2 * np.pi * 40.0 * time)
+    paused = np.where(time > 5.0, time + 30.0, time)
+    sides = [np.where(time < 1.0, np.nan, wave + w) for w in (-0.5, 0.5)]
+    trace = band(paused, sides, "m", "#0072B2", row=1, points=points, hidden=False)
+    x, y = unpacked(trace["x"]), unpacked(trace["y"])
+    areas = np.split(x, np.flatnonzero(np.isnan(x)) + 1)
+    assert trace["fill"] == "toself" and [len(a) > 1 for a in areas] == [True, True, False]
+    assert [(np.nanmin(a), np.nanmax(a)) for a in areas[:2]] == [
+        (pytest.approx(1.0), pytest.approx(5.0)),
+        (pytest.approx(35.005), pytest.approx(39.995)),
+    ]
+    assert (np.nanmin(y), np.nanmax(y)) == pytest.approx((-1.5, 1.5), abs=0.06) and len(x) <= 2 * points + 4
 
 
 def test_a_line_carries_its_numbers_as_32_bit_floats():

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydrotwin.export.reader import StartValueWarning
 from hydrotwin.identification.beginning import StartEstimate, StartState
-from hydrotwin.learned.bands import scores
+from hydrotwin.learned.bands import LEAST, scores
 from hydrotwin.models.language.errors import DataError, HydrotwinError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
@@ -237,12 +237,20 @@ def _score(contender, run: Run, job: Job, found: _Found) -> None:
 
 
 def _band(measured: np.ndarray, predicted: np.ndarray, deviation: np.ndarray | None) -> dict[str, float]:
-    """Coverage, NLPD and CRPS of a band; nothing without one."""
-    if deviation is None:
+    """Coverage, NLPD and CRPS of a band; nothing without one, or where it is not told.
+
+    A sample that was given, and not predicted, has no deviation and no miss, and tells nothing. What a model claims to
+    know exactly, and misses, lies outside.
+    """
+    miss, known = measured - predicted, np.isfinite(measured)
+    if deviation is None or not np.isfinite(deviation[known]).all():
         return {}
-    known = np.isfinite(measured) & (deviation > 0)
-    found = scores(measured[known] - predicted[known], deviation[known]) if known.any() else {}
-    return {key: found[key] for key in ("coverage", "nlpd", "crps") if key in found}
+    known &= (deviation > 0) | (miss != 0)
+    if not (deviation[known] > 0).any():
+        return {}
+    least = LEAST * float(np.abs(miss[known]).max())
+    found = scores(miss[known], np.maximum(deviation[known], least))
+    return {key: found[key] for key in ("coverage", "nlpd", "crps")}
 
 
 def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tuple[Record, list[float]]:

@@ -196,3 +196,27 @@ def test_a_comparison_holds_its_bands_against_what_it_measured(arx):
     (band,) = found.entrants[0].bands
     assert band.trusted is False and "measured here" in band.why
     assert any("bands of sure cannot be trusted" in n for n in notices(found))
+
+
+class Claims(Toy):
+    """A toy with a deviation (n,) of its angle, rad."""
+
+    def __init__(self, told):
+        super().__init__("claims")
+        self.told = told
+
+    def deviations(self, record):
+        return {"arm_angle": self.told}
+
+
+def coverage(told) -> float:
+    found = compare([Claims(told)], [recording(1)], modes=[FREE_RUN], repeats=0, outputs=["arm_angle"])
+    return found.scores[0].coverage
+
+
+def test_what_is_claimed_to_be_known_exactly_is_missed_and_what_is_not_told_is_no_band():
+    """Such samples were left out: a band of nothing in nine of ten covered all."""
+    n = len(recording(1))
+    wide, nothing = np.full(n, 1.0), np.zeros(n)
+    assert coverage(wide) == 1.0 and coverage(np.where(np.arange(n) % 10, 0.0, wide)) == pytest.approx(0.1, abs=0.01)
+    assert np.isnan(coverage(nothing)) and np.isnan(coverage(np.where(np.arange(n) == n // 2, np.nan, wide)))

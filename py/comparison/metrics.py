@@ -60,8 +60,8 @@ def errors_of(measured: np.ndarray, predicted: np.ndarray) -> Errors:
         mean_square = float(np.mean(e**2))
     if not np.isfinite(mean_square):
         raise DataError(
-            f"the errors are beyond numbers (got up to {np.abs(e).max():.3g}). Check the unit of the column, and whether "
-            "the model diverges."
+            f"the errors are beyond numbers (got up to {np.abs(e).max():.3g}). Check the unit of the column, and "
+            "whether the model diverges."
         )
     return Errors(
         rmse=float(np.sqrt(mean_square)),

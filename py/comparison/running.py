@@ -10,7 +10,7 @@ from pathlib import Path
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import Reading, Record, read_record, require_once
+from hydrotwin.records import Reading, Record, distinct, read_record, require_once
 from hydrotwin.work.executor import Here, cores_of, executor_for, mapped
 from hydrotwin.work.memory import Memory
 
@@ -103,7 +103,8 @@ def read_all(
     found = list(mapped(Here() if alone else pool, _read, [(path, scenario.reading) for path in paths]))
     count = len(scenario.validate)
     require_once(found[:count])
-    tagged = [scenario.tags.put(r, path) for r, path in zip(found[:count], scenario.validate, strict=True)]
+    (named,) = distinct(found[:count])  # as criteria name them
+    tagged = [scenario.tags.put(r, path) for r, path in zip(named, scenario.validate, strict=True)]
     check_tags(tagged)
     if on_read:
         on_read(tagged)

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
+import casadi as ca
 import control
 import numpy as np
 import pytest
 
 import hydrotwin
-from hydrotwin.comparison import read_scenario, run_scenario
+from hydrotwin.comparison import as_contender, read_scenario, run_scenario
+from hydrotwin.comparison.band import bands_of, made_from
 from hydrotwin.comparison.loop import Loop, in_loop, read_loop
+from hydrotwin.learned import learn
 from hydrotwin.models.language.errors import DeclarationError, TopologyError
 from hydrotwin.simulation import lower
 from hydrotwin.simulation.closed_loop import close_loop
 from hydrotwin.simulation.control_system import from_control
+from tests.learned.toy_machine import ANGLE, COMMAND, toy_record
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "cehA" / "closed_loop"
 PERIOD = 0.01
@@ -77,3 +82,35 @@ def test_a_wrong_loop_says_what_is_wrong(change, sentence):
              "numerator": [40.0], "denominator": [1.0]} | change  # fmt: skip
     with pytest.raises(DeclarationError, match=sentence):
         in_loop(hydrotwin.load("cehA"), read_loop(table, "scenario.toml"))
+
+
+def test_a_loop_has_no_bands_and_says_what_its_model_was_made_from():
+    """What held an open run, in which nothing makes up for errors, had been told of the loop: all of it lay inside."""
+    learnt = learn("arx", [toy_record(1), toy_record(2)], [COMMAND], [ANGLE])
+    rows = [{"name": "toy_9", "role": "train", "sha256": toy_record(9).digest}]
+    fitted = hydrotwin.load("cehA").with_settings({}, {"recordings": rows})
+    looped = [in_loop(one, dataclasses.replace(GAIN, period=one.period)) for one in (learnt, with_deviation(learnt))]
+    for own in (as_contender(learnt), as_contender(with_deviation(learnt))):
+        assert bands_of(own)
+    for one in looped:
+        assert not bands_of(one) and not one.half_widths and one.domain is learnt.domain
+        assert made_from(one.provenance) == {toy_record(k).digest for k in (1, 2)}
+        assert [s.name for s in one.outputs] == ["arm_angle", "command"]
+    assert made_from(in_loop(fitted, GAIN).provenance) == {toy_record(9).digest}
+    record = toy_record(3).with_signals({"reference": np.full(len(toy_record(3)), 0.4)}, {"reference": "rad"})
+    plain, bare = (one.free_run(record)["arm_angle"] for one in looped)
+    assert (plain == bare).all()
+
+
+def with_deviation(block):
+    """The block with a constant standard deviation beside its output."""
+    x, u, p = (ca.MX.sym(n, len(v)) for n, v in zip("xup", (block.states, block.inputs, block.parameters), strict=True))
+    y = ca.MX.sym("y", 2)
+    following, answered = block.step(x, u, p)
+    deviation = dataclasses.replace(block.outputs[0], name="arm_angle.sd")
+    return dataclasses.replace(
+        block,
+        outputs=(block.outputs[0], deviation),
+        step=ca.Function("step", [x, u, p], [following, ca.vertcat(answered, 0.1)], ["x", "u", "p"], ["x_next", "y"]),
+        start=ca.Function("start", [u, y, p], [block.start(u, y[0], p)], ["u", "y", "p"], ["x"]),
+    )

@@ -16,8 +16,9 @@ from hydrotwin.simulation import Block, lower
 from hydrotwin.simulation.closed_loop import close_loop
 
 from .band import SD
-from .contender import BlockContender
+from .contender import OWN_METHOD, BlockContender
 
+EXPLICIT = "explicit"  # the method of a model as a block
 _KEYS = ("reference", "measured", "command", "period", "numerator", "denominator", "limits")
 
 
@@ -63,9 +64,12 @@ def _limit(given: object) -> float | str:
     return given if isinstance(given, str) else float(given)
 
 
-def in_loop(thing, loop: Loop, name: str | None = None) -> BlockContender:
+def in_loop(
+    thing, loop: Loop, name: str | None = None, *, step: float | None = None, method: str | None = None
+) -> BlockContender:
     """A Model or Block under the scenario's controller, as a contender driven by the reference.
 
+    step, method : longest step [s] and method of a model with equations, see `lower`; by default its own, explicit.
     It has no bands: those of the model are of runs in which nothing makes up for its errors.
 
     Raises DeclarationError for what has no block (an FMU), or lacks the loop's input or output.
@@ -76,7 +80,9 @@ def in_loop(thing, loop: Loop, name: str | None = None) -> BlockContender:
             raise DeclarationError(
                 f"loop: {getattr(thing, 'name', thing)} cannot be put under the controller. Only models and blocks can."
             )
-        plant = lower(thing, loop.period)
+        flat = getattr(thing, "flat", thing)
+        stepped = replace(flat, step=step) if step else flat
+        plant = lower(stepped, loop.period, EXPLICIT if method in (None, OWN_METHOD) else method)
     controller = controller_block(loop, plant)  # which knows the command
     block = close_loop(
         plant,

@@ -140,8 +140,11 @@ def load_contenders(
     contenders: list[Contender] = []
     for one in things_of(scenario, resolve):
         thing = one.thing if variant is None else varied(one, variant)
-        made = in_loop(thing, scenario.loop, one.name) if scenario.loop else as_contender(thing, one.name)
-        contenders.append(made if variant is None or not concerns(one, variant) else run_as(made, variant))
+        own = variant if variant is not None and concerns(one, variant) else Variant()
+        if scenario.loop:
+            contenders.append(in_loop(thing, scenario.loop, one.name, step=own.step, method=own.method))
+        else:
+            contenders.append(run_as(as_contender(thing, one.name), own))
     for k, entry in enumerate(scenario.models):
         if entry.model == HOLD_LAST:
             outputs = {s.name: s for c in contenders for s in c.outputs}

@@ -11,14 +11,16 @@ import numpy as np
 import pytest
 
 import hydrotwin
-from hydrotwin.comparison import as_contender, read_scenario, run_scenario
+from hydrotwin.comparison import Variant, as_contender, read_scenario, run_scenario
 from hydrotwin.comparison.band import bands_of, made_from
 from hydrotwin.comparison.loop import Loop, in_loop, read_loop
+from hydrotwin.comparison.running import load_contenders
 from hydrotwin.learned import learn
 from hydrotwin.models.language.errors import DeclarationError, TopologyError
 from hydrotwin.simulation import lower
 from hydrotwin.simulation.closed_loop import close_loop
 from hydrotwin.simulation.control_system import from_control
+from hydrotwin.work.memory import key_of
 from tests.learned.toy_machine import ANGLE, COMMAND, toy_record
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "cehA" / "closed_loop"
@@ -114,3 +116,15 @@ def with_deviation(block):
         step=ca.Function("step", [x, u, p], [following, ca.vertcat(answered, 0.1)], ["x", "u", "p"], ["x_next", "y"]),
         start=ca.Function("start", [u, y, p], [block.start(u, y[0], p)], ["u", "y", "p"], ["x"]),
     )
+
+
+def test_a_variant_of_a_loop_steps_as_it_says():
+    """Its step and its method reached no loop: the variant was the base again, and met its criteria."""
+    scenario = read_scenario(EXAMPLE / "scenario.toml")
+
+    def stepped(**changes):
+        variant = Variant("v", **changes) if changes else None
+        return next(c for c in load_contenders(scenario, hydrotwin.load, variant) if c.name == "cehA").content
+
+    keys = [key_of(stepped(**changes)) for changes in ({}, {"step": 2e-4}, {"method": "implicit"}, {"method": "auto"})]
+    assert len(set(keys)) == 3 and keys[3] == keys[0]

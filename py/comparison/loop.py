@@ -14,9 +14,10 @@ from hydrotwin.models.language.flat import lasting
 from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
 from hydrotwin.simulation import Block, lower
 from hydrotwin.simulation.closed_loop import close_loop
+from hydrotwin.simulation.propagator import OWN_METHOD
 
 from .band import SD
-from .contender import OWN_METHOD, BlockContender
+from .contender import BlockContender
 
 EXPLICIT = "explicit"  # the method of a model as a block
 _KEYS = ("reference", "measured", "command", "period", "numerator", "denominator", "limits")

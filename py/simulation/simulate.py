@@ -59,7 +59,7 @@ def simulate(
     record = filled(record, model)
     model = settled(model, [record], interpolation)
     if isinstance(model, Block):
-        _check_own_period(model, step, method)
+        check_own_period(model, step, method)
         run = _block_run(model, record, parameters, start)
         y = sampled.run_block(model, run.grid, run.u, run.p, run.x0)[0]
         return _with_domain(answer_of(record, model, y, run.grid), model, run, y)
@@ -91,7 +91,7 @@ def predict_one_step(
     record = filled(record, model)
     model = settled(model, [record])
     if isinstance(model, Block):
-        _check_own_period(model, step, method)
+        check_own_period(model, step, method)
         run = _block_run(model, record, parameters, start)
         _, x = sampled.run_block(model, run.grid, run.u, run.p, run.x0)
         measured = _corrected(model, record, x, run.grid)
@@ -105,7 +105,7 @@ def predict_one_step(
     return answer_of(record, flat, propagator.run(since_start(record), u, p, x0, restart)[0])
 
 
-def _check_own_period(block: Block, step: float | None, method: str) -> None:
+def check_own_period(block: Block, step: float | None, method: str) -> None:
     """Raises DeclarationError where a block is asked for a step or a method: it has its own."""
     if step is not None or method != OWN_METHOD:
         raise DeclarationError(

@@ -11,6 +11,7 @@ from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.records import Reading, Record, distinct, read_record, require_once
+from hydrotwin.records.reading import check_constants
 from hydrotwin.work.executor import Here, cores_of, executor_for, mapped
 from hydrotwin.work.memory import Memory
 
@@ -26,6 +27,7 @@ from .variants import Variant
 from .varied import Thing, concerns, run_as, varied, with_values
 
 HOLD_LAST = "hold_last"
+SET_SO = 'set it in a scenario, {{model = "...", set = {{{name} = "{value}"}}}}.'
 MANY = 8  # recordings that several processes read faster than one
 
 
@@ -112,7 +114,10 @@ def read_all(
 
 
 def check_asked(scenario: Scenario, contenders: Sequence[Contender], records: Sequence[Record]) -> None:
-    """Refuse before a long run criteria that could not be judged after it."""
+    """Refuse before a long run criteria that could not be judged after it, and constants that nothing reads."""
+    known = {s.name for c in contenders for s in (*c.inputs, *c.outputs)} | scenario.tags.read
+    settable = {p.name for c in contenders for p in getattr(c, "parameters", None) or ()}
+    check_constants(scenario.reading, known, settable, SET_SO)
     check_wanted(scenario.wanted, asked_of(scenario, contenders, records))
 
 

@@ -17,7 +17,7 @@ from hydrotwin.records import Reading, Record, require
 from hydrotwin.records.between import between
 
 from ..loading import origin
-from .recordings import read_all, reads, require_columns, tell_ignored
+from .recordings import check_set, read_all, reads, require_columns, tell_ignored
 from .shared import (
     InterpolationOption,
     JsonOption,
@@ -89,6 +89,7 @@ def identify(
         check_folder(report)
     thing = physical(model, "identify")
     flat = thing.flat
+    check_set(reading, flat)
     errors = settings_from(noise, "--noise", [wanted(s, difference=True) for s in flat.outputs])
     limits = bounds_from(bounds, [wanted(p) for p in flat.parameters])
     train, judged = read_all(records, reading), read_all(validate, reading)

@@ -14,6 +14,7 @@ import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.records import Reading, Record, read_record, reading_of, require_once, turned_back
+from hydrotwin.records.reading import check_constants
 
 from .shared import err, mark
 
@@ -127,6 +128,12 @@ def constants_among(
     return [text for text in settings if text not in given], reading_of(constants=given or None).over(
         reading or Reading()
     )
+
+
+def check_set(reading: Reading | None, flat) -> None:
+    """What --set says is of a signal of the model. Raises DeclarationError where nothing would read it."""
+    signals, parameters = {s.name for s in (*flat.inputs, *flat.outputs)}, {p.name for p in flat.parameters}
+    check_constants(reading or Reading(), signals, parameters, "its value stands in the model or its file.")
 
 
 def tell_ignored(records: Sequence[Record], used: set[str], model: str) -> None:

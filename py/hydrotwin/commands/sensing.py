@@ -10,7 +10,7 @@ import typer
 from hydrotwin.models.language.quantities import wanted
 from hydrotwin.records import Reading
 
-from .recordings import read_all, reads, tell_ignored
+from .recordings import check_set, read_all, reads, tell_ignored
 from .shared import (
     InterpolationOption,
     JsonOption,
@@ -102,6 +102,7 @@ def sensitivity(
     if report:
         check_file(report, ".html") if report.suffix else check_folder(report)
     thing = physical(model, "sensitivity")
+    check_set(reading, thing.flat)
     limits = bounds_from(given, [wanted(p) for p in thing.flat.parameters], "--interval")
     between = interpolation_from(interpolation)
     errors = settings_from(noise, "--noise", [wanted(s, difference=True) for s in thing.flat.outputs])

@@ -9,7 +9,7 @@ import numpy as np
 
 from .record import Record
 from .resampling import new_time_axis
-from .steps import usual
+from .steps import holes_at, usual
 from .unbroken import OWN_STEP
 
 SAME_PERIOD = 1e-9  # relative: two sample times that are one
@@ -25,7 +25,8 @@ def thinned(record: Record, period: float | None) -> Record:
 
     Values on the line between samples would have less noise, and a held input values that nobody had set. A signal on
     a slower raster keeps those of its own samples that lie nearest, in rows where the others are then unknown: in the
-    rows of the others it may have none at all.
+    rows of the others it may have none at all. A hole stays one, by a row in it without values: among longer steps it
+    may not show.
     """
     if period is None or sampled_so(record, period):
         return record
@@ -35,7 +36,17 @@ def thinned(record: Record, period: float | None) -> Record:
     rows = {n: shared if own is None else own for n, own in rows.items()}
     kept = np.unique(np.concatenate([shared, *rows.values()]))
     signals = {n: np.where(np.isin(kept, rows[n]), values[kept], np.nan) for n, values in record.signals.items()}
-    return dataclasses.replace(record, time=record.time[kept], signals=signals)
+    return _with_holes(dataclasses.replace(record, time=record.time[kept], signals=signals), record)
+
+
+def _with_holes(found: Record, record: Record) -> Record:
+    """What was thinned out with a row of unknown values in every hole that does not show any more."""
+    before, behind = (record.time[holes_at(record.time) + k] for k in (0, 1))
+    at = np.searchsorted(found.time, before, side="right")
+    hidden = ~np.isin(at - 1, holes_at(found.time))
+    at, middle = at[hidden], (before + behind)[hidden] / 2
+    signals = {n: np.insert(values, at, np.nan) for n, values in found.signals.items()}
+    return dataclasses.replace(found, time=np.insert(found.time, at, middle), signals=signals)
 
 
 def _own_rows(time: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.ndarray | None:

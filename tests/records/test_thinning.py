@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydrotwin.records import Record
+from hydrotwin.records import Record, unbroken
 from hydrotwin.records.thinning import thinned
 
 UNITS = {"u": "V", "y": "m"}
@@ -42,3 +42,13 @@ def test_a_lost_sample_is_no_slower_raster():
     y = np.where(np.arange(len(TIME)) % 25 == 0, np.nan, 1.0)
     found = thinned(Record(TIME, {"u": np.ones(len(TIME)), "y": y}, UNITS, "r"), 0.05)
     assert found.uniform and len(found) == 400 and np.isnan(found["y"]).sum() == 80
+
+
+def test_a_hole_stays_one():
+    """Two of five steps of a longer period are no hole: inputs ran on over what the recording as it is was cut at."""
+    keep = np.abs(TIME - 10.15) > 0.2
+    record = Record(TIME[keep], {"u": TIME[keep], "y": TIME[keep]}, UNITS, "r")
+    assert len(unbroken(record, ["u"])) == 2
+    found = unbroken(thinned(record, 0.1), ["u"])
+    assert [len(part) for part in found] == pytest.approx([100, 97], abs=1)
+    assert all(np.isfinite(part["u"]).all() for part in found)

@@ -17,7 +17,7 @@ from hydrotwin.records import Reading, Record, require
 from hydrotwin.records.between import between
 
 from ..loading import origin
-from .recordings import check_set, read_all, reads, require_columns, tell_ignored
+from .recordings import check_set, read_all, reads, require_columns, tell_columns
 from .shared import (
     InterpolationOption,
     JsonOption,
@@ -96,7 +96,7 @@ def identify(
     fitted = [s for s in flat.outputs if not fit_outputs or s.name in fit_outputs]
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in fitted if s.name in record)], thing.name)
-    tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
+    tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name)
     with progress_bar() as bar:
         row = bar.add_task("identify", total=None)
 

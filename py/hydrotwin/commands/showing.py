@@ -19,7 +19,7 @@ from hydrotwin.records import WRITTEN, Reading, as_needed, cuts, joined, unbroke
 from hydrotwin.records.between import between, settled
 
 from ..loading import load
-from .recordings import constants_among, read_all, reads, tell_ignored
+from .recordings import constants_among, read_all, reads, tell_columns
 from .shared import (
     InitialStatesOption,
     InterpolationOption,
@@ -113,8 +113,7 @@ def simulate(
             runs.append(simulate(thing, part, parameters=settings, start=given, step=step, method=method))
     accuracy = max((r.accuracy for r in runs if getattr(r, "accuracy", None)), key=lambda a: a.error, default=None)
     record, result, begun = joined(parts), joined(runs), [one for one in begun if one]
-    known = {s.name for s in (*contender.inputs, *contender.outputs)}
-    tell_ignored([record], known, contender.name)
+    tell_columns([record], (*contender.inputs, *contender.outputs), contender.name)
     tell_between(contender.inputs)
     starts = [*cuts(parts), *map(str, begun)]
     for note in [*(f"{contender.name}: {note}" for note in notes), *starts]:

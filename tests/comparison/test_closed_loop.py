@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
-import casadi as ca
 import control
 import numpy as np
 import pytest
@@ -21,7 +20,7 @@ from hydrotwin.simulation import lower
 from hydrotwin.simulation.closed_loop import close_loop
 from hydrotwin.simulation.control_system import from_control
 from hydrotwin.work.memory import key_of
-from tests.learned.toy_machine import ANGLE, COMMAND, toy_record
+from tests.learned.toy_machine import ANGLE, COMMAND, toy_record, with_deviation
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "cehA" / "closed_loop"
 PERIOD = 0.01
@@ -102,20 +101,6 @@ def test_a_loop_has_no_bands_and_says_what_its_model_was_made_from():
     record = toy_record(3).with_signals({"reference": np.full(len(toy_record(3)), 0.4)}, {"reference": "rad"})
     plain, bare = (one.free_run(record)["arm_angle"] for one in looped)
     assert (plain == bare).all()
-
-
-def with_deviation(block):
-    """The block with a constant standard deviation beside its output."""
-    x, u, p = (ca.MX.sym(n, len(v)) for n, v in zip("xup", (block.states, block.inputs, block.parameters), strict=True))
-    y = ca.MX.sym("y", 2)
-    following, answered = block.step(x, u, p)
-    deviation = dataclasses.replace(block.outputs[0], name="arm_angle.sd")
-    return dataclasses.replace(
-        block,
-        outputs=(block.outputs[0], deviation),
-        step=ca.Function("step", [x, u, p], [following, ca.vertcat(answered, 0.1)], ["x", "u", "p"], ["x_next", "y"]),
-        start=ca.Function("start", [u, y, p], [block.start(u, y[0], p)], ["u", "y", "p"], ["x"]),
-    )
 
 
 def test_a_variant_of_a_loop_steps_as_it_says():

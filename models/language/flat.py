@@ -20,6 +20,7 @@ from .errors import DeclarationError, nearest
 from .quantities import in_si, wanted
 
 IDENTIFIED = "identified"  # how the source of a value begins that a fit found
+OF_NO_FIT = {"sigma": None, "source": ""}  # a value that is set
 RECORDINGS = "recordings"  # of a provenance: rows with name, role and sha256
 
 
@@ -192,16 +193,19 @@ class FlatModel:
         return dataclasses.replace(self, inputs=changed(self.inputs, changes, self.name))
 
     def with_parameters(self, changes: Mapping[str, float]) -> FlatModel:
-        """The same model with other parameter values (SI)."""
+        """The same model with other parameter values (SI), of which no fit says anything."""
         values = self.parameter_vector(changes)
         stay = any(p.source.startswith(IDENTIFIED) for p in self.parameters if p.name not in changes)
         return dataclasses.replace(
             self,
-            parameters=tuple(
-                dataclasses.replace(p, value=float(v)) for p, v in zip(self.parameters, values, strict=True)
-            ),
+            parameters=tuple(_with_value(p, float(v)) for p, v in zip(self.parameters, values, strict=True)),
             provenance=lasting(self.provenance, stay) if changes else self.provenance,
         )
+
+
+def _with_value(p: ParameterValue, value: float) -> ParameterValue:
+    """The parameter with another value; its deviation and its source are of the one it had."""
+    return p if value == p.value else dataclasses.replace(p, value=value, **OF_NO_FIT)
 
 
 def lasting(provenance: Mapping, stay: bool = True) -> dict:

@@ -16,7 +16,7 @@ from .additions import Addition
 from .component import Component
 from .declarations import finite
 from .errors import DeclarationError, SolveError, TopologyError, nearest
-from .flat import FlatModel, ParameterValue, Signal, StateVariable, by_name, changed, lasting, no_parameter
+from .flat import OF_NO_FIT, FlatModel, ParameterValue, Signal, StateVariable, by_name, changed, lasting, no_parameter
 from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
 from .parameter_file import setting_in_si
@@ -103,7 +103,7 @@ class Model:
         """The same model with other parameter values (SI)."""
         units = {p.path: p.unit for p in self._solved.elaboration.parameters}
         return self.with_settings(
-            {k: {"value": v, "unit": units[k]} if k in units else v for k, v in values.items()}, provenance
+            {k: {**OF_NO_FIT, "value": v, "unit": units[k]} if k in units else v for k, v in values.items()}, provenance
         )
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> Model:

@@ -286,7 +286,7 @@ def add_effect(model: Model, effect: str, site: str | None = None, values: Mappi
     chosen = sites[site] if site else usual[0]
     added = model.plus([chosen.addition])
     settings = {(k if "." in k else f"{chosen.name}.{k}"): float(v) for k, v in (values or {}).items()}
-    return added.with_parameters(settings, model.provenance) if settings else added
+    return added.with_parameters(settings, added.provenance) if settings else added
 
 
 def neutral_difference(model: Model, candidate: Candidate, inputs: np.ndarray, times: np.ndarray) -> float:

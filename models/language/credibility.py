@@ -27,6 +27,7 @@ KEY = "credibility"  # of the block in a model file
 IDENTIFY, GAP, COMPARE, LEARN = "identify", "gap", "compare", "learn"
 MADE_BY = (IDENTIFY, GAP, COMPARE, LEARN)
 FIT, JUDGE = "fit", "judge"  # roles of a recording: values follow it, or it had no part in them
+SHOWN = 3  # criteria that a sentence names
 NEXT = "Take the block [credibility] out, or fit or record the model again."
 _ACTING = ("model", "effects", "inputs")  # of a model file: what its runs depend on, beside values and their spread
 _TEXTS = ("by", "date", "contents")
@@ -81,8 +82,10 @@ class Evidence:
     def _result(self) -> str:
         if self.criteria:
             missed = [row for row in self.criteria if not row["passed"]]
-            words = [f"“{row['text']}”{_margin(row)}" for row in (missed or self.criteria)[:3]]
-            return f"{'FAIL' if missed else 'PASS'}, {'missed' if missed else 'held'}: {'; '.join(words)}"
+            rows = missed or self.criteria
+            words = [f"“{row['text']}”{_margin(row)}" for row in rows[:SHOWN]]
+            more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
+            return f"{'FAIL' if missed else 'PASS'}, {'missed' if missed else 'held'}: {'; '.join(words)}{more}"
         judged = sorted(self.metrics, key=lambda m: m["role"] != JUDGE)
         rows = [f"{m['output']} RMSE {m['rmse']:.4g} {m['unit']} ({m['role']})" for m in judged if "rmse" in m]
         return "no criteria" + (f"; {'; '.join(rows[:4])}" if rows else "")
@@ -207,7 +210,8 @@ def _listed(value: object) -> list:
 def _margin(row: Mapping) -> str:
     """How far inside or outside of its bound a criterion is, of an overall one which output; else nothing."""
     told = [str(row["worst"])] if row.get("worst") else []
-    told += [f"{100 * row['margin']:+.2g} %"] if math.isfinite(row["margin"]) else []
+    share = 100 * float(row["margin"])
+    told += [f"{share:{'+.2g' if abs(share) < 100 else '+.0f'}} %"] if math.isfinite(share) else []
     return f" ({', '.join(told)})" if told else ""
 
 

@@ -19,6 +19,10 @@ import numpy as np
 from .errors import DeclarationError, nearest
 from .quantities import in_si, wanted
 
+IDENTIFIED = "identified"  # how the source of a value begins that a fit found
+OF_NO_FIT = {"sigma": None, "source": ""}  # a value that is set
+RECORDINGS = "recordings"  # of a provenance: rows with name, role and sha256
+
 
 @dataclass(frozen=True)
 class Signal:
@@ -130,7 +134,7 @@ class FlatModel:
     start : ``(u, p, z) -> x``; ``z`` are the values of the states in ``given`` (see `start_given`), u the first input.
     step : recommended fixed step [s].
     loops : nonlinear ones, each by the unknowns it is solved for and ``(t, x, u, p) -> 1`` where it has a solution.
-    provenance : of its values, where a fit found them; other values have none.
+    provenance : of its values, where a fit found them; of other values what is `lasting`.
     black_box : a part of it has no equations: it runs from its beginning only, by what its `prepared` gives.
     """
 
@@ -189,15 +193,28 @@ class FlatModel:
         return dataclasses.replace(self, inputs=changed(self.inputs, changes, self.name))
 
     def with_parameters(self, changes: Mapping[str, float]) -> FlatModel:
-        """The same model with other parameter values (SI)."""
+        """The same model with other parameter values (SI), of which no fit says anything."""
         values = self.parameter_vector(changes)
+        stay = any(p.source.startswith(IDENTIFIED) for p in self.parameters if p.name not in changes)
         return dataclasses.replace(
             self,
-            parameters=tuple(
-                dataclasses.replace(p, value=float(v)) for p, v in zip(self.parameters, values, strict=True)
-            ),
-            provenance={} if changes else self.provenance,
+            parameters=tuple(_with_value(p, float(v)) for p, v in zip(self.parameters, values, strict=True)),
+            provenance=lasting(self.provenance, stay) if changes else self.provenance,
         )
+
+
+def _with_value(p: ParameterValue, value: float) -> ParameterValue:
+    """The parameter with another value; its deviation and its source are of the one it had."""
+    return p if value == p.value else dataclasses.replace(p, value=value, **OF_NO_FIT)
+
+
+def lasting(provenance: Mapping, stay: bool = True) -> dict:
+    """What a provenance still says of a model of which something is another: which recordings its values follow.
+
+    stay : whether values that a fit found are among them. What the fit left, and how sure it was, is of the model as it
+    was.
+    """
+    return {RECORDINGS: provenance[RECORDINGS]} if stay and RECORDINGS in provenance else {}
 
 
 def no_parameter(model: str, path: str, known: Iterable[str], hint: str = "") -> DeclarationError:

@@ -16,7 +16,7 @@ from .additions import Addition
 from .component import Component
 from .declarations import finite
 from .errors import DeclarationError, SolveError, TopologyError, nearest
-from .flat import FlatModel, ParameterValue, Signal, StateVariable, by_name, changed, no_parameter
+from .flat import OF_NO_FIT, FlatModel, ParameterValue, Signal, StateVariable, by_name, changed, lasting, no_parameter
 from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
 from .parameter_file import setting_in_si
@@ -81,12 +81,14 @@ class Model:
 
     # -- other models ------------------------------------------------------------------------------------------
     def with_settings(self, settings: Mapping, provenance: Mapping | None = None) -> Model:
-        """The same structure with further values, bounds, sigmas or sources, by path."""
+        """The same structure with further values, bounds, sigmas or sources, by path; by default what is `lasting`."""
         merged = {k: dict(v) for k, v in self.settings.items()}
         for path, change in self._in_si(settings).items():
             if "unit" not in change and any(change.get(key) is not None for key in _NUMBERS):
                 merged.get(path, {}).pop("unit", None)  # of the numbers before, and it vouches for no others
             merged.setdefault(path, {}).update(change)
+        stay = set(self.settings) - set(settings)
+        provenance = lasting(self.provenance, bool(stay)) if provenance is None else provenance
         other = Model(
             self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions,
             inputs=self.inputs_changed,
@@ -101,7 +103,7 @@ class Model:
         """The same model with other parameter values (SI)."""
         units = {p.path: p.unit for p in self._solved.elaboration.parameters}
         return self.with_settings(
-            {k: {"value": v, "unit": units[k]} if k in units else v for k, v in values.items()}, provenance
+            {k: {**OF_NO_FIT, "value": v, "unit": units[k]} if k in units else v for k, v in values.items()}, provenance
         )
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> Model:
@@ -117,10 +119,16 @@ class Model:
         other.inputs_changed = {**before, **merged}
         return other
 
-    def but(self, name: str | None = None, **changes) -> Model:
-        """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
+    def _bare(self, changed: bool) -> Model:
+        """A copy without what is made of its parts; where these are changed, without what a fit of others said."""
         other = copy.copy(self)
         other.__dict__ = {k: self.__dict__[k] for k in _KEPT}
+        other.provenance = lasting(self.provenance) if changed else self.provenance
+        return other
+
+    def but(self, name: str | None = None, **changes) -> Model:
+        """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
+        other = self._bare(bool(changes))
         other.additions, other.sought = self.additions, self.sought
         other.root, other.name = self.root.but(**changes), name or self.name
         return other
@@ -130,15 +138,14 @@ class Model:
 
         sought : the additions are looked for; otherwise one that changes nothing is refused when `flat` is asked for.
         """
-        other = copy.copy(self)
-        other.__dict__ = {k: self.__dict__[k] for k in _KEPT}
-        other.sought = True  # until what it frees or holds is independent
-        other.additions = (*self.additions, *additions)
+        added = tuple(additions)
+        other = self._bare(bool(added))
+        other.additions, other.sought = (*self.additions, *added), True  # until what it frees or holds is independent
         freed = {a.frees: {"free": True} for a in other.additions if a.frees}
         wanted = {path for a in other.additions for path in a.holds}
         held = {p.name: {"value": p.value, "unit": p.unit} for p, _ in self.followers if p.name in wanted}
         settings = {path: {**held.get(path, {}), **freed.get(path, {})} for path in (*held, *freed)}
-        final = other.with_settings(settings, self.provenance) if settings else other
+        final = other.with_settings(settings, other.provenance) if settings else other
         final.sought = sought or self.sought
         return final
 
@@ -149,8 +156,7 @@ class Model:
         parts = tuple(f"{a.name}." for a in gone if a.part is not None)
         held = {path for a in kept for path in (*a.holds, *([a.frees] if a.frees else []))}
         own = {path for a in gone for path in (*a.holds, *([a.frees] if a.frees else []))} - held
-        other = copy.copy(self)
-        other.__dict__ = {k: self.__dict__[k] for k in _KEPT}
+        other = self._bare(bool(gone))
         other.additions, other.sought = tuple(kept), self.sought
         other.settings = {p: s for p, s in self.settings.items() if p not in own and not p.startswith(parts)}
         return other

@@ -18,7 +18,7 @@ from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst
 from .earlier import earlier
 from .elsewhere import beside_holes, holes_of
-from .metric import METRICS, SCORED
+from .metric import AGAIN, METRICS, SCORED
 from .rating import INNER
 from .sentence import other_of
 from .tags import of_group
@@ -256,10 +256,11 @@ class _Values:
         return float(np.ptp(record[score.output][np.isfinite(record[score.output])])) or float("nan")
 
     def _before(self, holding: tuple[str, ...], metric: str, path: Path) -> float:
-        """NaN for a variant that is new: it has nothing to be held against, and costs only itself."""
+        """What it was then, and as much more as the same run may give elsewhere. NaN for a variant that is new: it has
+        nothing to be held against, and costs only itself."""
         found = _earlier(path, self.variant)
         if self.variant and not found.means:
             return float("nan")
         key = (self.model, self.criterion.output, self.comparison.modes[0])
         found.check_key(self.criterion.text, key)
-        return found.value(key, metric, [r for r in self.comparison.records if r.name in holding])
+        return found.value(key, metric, [r for r in self.comparison.records if r.name in holding]) * (1 + AGAIN)

@@ -18,9 +18,9 @@ from .acceptance import Wanted, acceptance
 from .comparison import Comparison
 from .contender import as_contender
 from .meaning import criteria_of
+from .metric import AGAIN
 from .run import compare
 
-AGAIN = 1e-4  # relative: numbers of the same runs on another processor or compiler differ by less
 NUMBERS = ("rmse", "mae", "maximum", "bias", "fit_percent", "r2", "coverage")  # of an evidence's metrics
 
 

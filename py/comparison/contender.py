@@ -19,11 +19,11 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.simulation import predict_one_step, simulate
 from hydrotwin.simulation.block import Block
+from hydrotwin.simulation.propagator import OWN_METHOD
 from hydrotwin.work.executor import portable
 
 from .travel import with_changes
 
-OWN_METHOD = "auto"  # of every run, see `prepare`
 _WORDS = ("provenance", "description")  # of a block: no run depends on them
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -12,7 +13,7 @@ import numpy as np
 
 from hydrotwin.export.reader import StartValueWarning
 from hydrotwin.identification.beginning import StartEstimate, StartState
-from hydrotwin.learned.bands import scores
+from hydrotwin.learned.bands import LEAST, scores
 from hydrotwin.models.language.errors import DataError, HydrotwinError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import compatible
@@ -30,6 +31,7 @@ from .residual import Residual, explain
 from .starts import Started, start_of
 from .travel import Carried
 
+SAME_STEP = 1e-3  # relative: the period of a block is that of a recording
 TIMING_BUDGET = 5.0  # s spent on repeating one run for its median
 WARNINGS: Mapping[str, type[Warning]] = {w.__name__: w for w in (InaccurateWarning, StartValueWarning)}
 
@@ -190,6 +192,8 @@ def _band_of(
     where it says what they are made of; without them it is scored, too."""
     (record, noise), own = measured, {s.name for s in contender.outputs}
     known = {n: prediction[f"{n}{SD}"] for n in own if f"{n}{SD}" in own and f"{n}{SD}" in prediction.signals}
+    if mode != FREE_RUN and not _steps_with(contender, record):
+        return {}, {}
     if mode != FREE_RUN or not hasattr(contender, "deviations"):
         return known, {}
     try:
@@ -202,6 +206,13 @@ def _band_of(
     steps = {n: noise[n].quantum if n in noise else 0.0 for n in both}
     chance = {n: moved[n].chance(record[n] - prediction[n], steps[n]) for n in both}
     return {n: one.deviation for n, one in moved.items()} | known, chance
+
+
+def _steps_with(contender, record: Record) -> bool:
+    """Whether one step of a block is one of the recording: from sample to sample of a slower one its deviations are not
+    those of one step."""
+    block = getattr(contender, "block", None)
+    return block is None or (record.uniform and math.isclose(record.period, block.period, rel_tol=SAME_STEP))
 
 
 def _lean(run: Run, contender, record: Record) -> Run:
@@ -237,12 +248,20 @@ def _score(contender, run: Run, job: Job, found: _Found) -> None:
 
 
 def _band(measured: np.ndarray, predicted: np.ndarray, deviation: np.ndarray | None) -> dict[str, float]:
-    """Coverage, NLPD and CRPS of a band; nothing without one."""
-    if deviation is None:
+    """Coverage, NLPD and CRPS of a band; nothing without one, or where it is not told.
+
+    A sample that was given, and not predicted, has no deviation and no miss, and tells nothing. What a model claims to
+    know exactly, and misses, lies outside.
+    """
+    miss, known = measured - predicted, np.isfinite(measured)
+    if deviation is None or not np.isfinite(deviation[known]).all():
         return {}
-    known = np.isfinite(measured) & (deviation > 0)
-    found = scores(measured[known] - predicted[known], deviation[known]) if known.any() else {}
-    return {key: found[key] for key in ("coverage", "nlpd", "crps") if key in found}
+    known &= (deviation > 0) | (miss != 0)
+    if not (deviation[known] > 0).any():
+        return {}
+    least = LEAST * float(np.abs(miss[known]).max())
+    found = scores(miss[known], np.maximum(deviation[known], least))
+    return {key: found[key] for key in ("coverage", "nlpd", "crps")}
 
 
 def _timed(run: Callable[[Record], Record], record: Record, repeats: int) -> tuple[Record, list[float]]:

@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import casadi as ca
 import numpy as np
 
+from hydrotwin.learned.bands import BAND, CARD
 from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.flat import lasting
 from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
 from hydrotwin.simulation import Block, lower
 from hydrotwin.simulation.closed_loop import close_loop
+from hydrotwin.simulation.propagator import OWN_METHOD
 
+from .band import SD
 from .contender import BlockContender
 
+EXPLICIT = "explicit"  # the method of a model as a block
 _KEYS = ("reference", "measured", "command", "period", "numerator", "denominator", "limits")
 
 
@@ -59,18 +65,25 @@ def _limit(given: object) -> float | str:
     return given if isinstance(given, str) else float(given)
 
 
-def in_loop(thing, loop: Loop, name: str | None = None) -> BlockContender:
+def in_loop(
+    thing, loop: Loop, name: str | None = None, *, step: float | None = None, method: str | None = None
+) -> BlockContender:
     """A Model or Block under the scenario's controller, as a contender driven by the reference.
+
+    step, method : longest step [s] and method of a model with equations, see `lower`; by default its own, explicit.
+    It has no bands: those of the model are of runs in which nothing makes up for its errors.
 
     Raises DeclarationError for what has no block (an FMU), or lacks the loop's input or output.
     """
-    plant = thing
+    plant = without_deviations(thing) if isinstance(thing, Block) else thing
     if not isinstance(thing, Block):
         if not hasattr(getattr(thing, "flat", thing), "ode"):
             raise DeclarationError(
                 f"loop: {getattr(thing, 'name', thing)} cannot be put under the controller. Only models and blocks can."
             )
-        plant = lower(thing, loop.period)
+        flat = getattr(thing, "flat", thing)
+        stepped = replace(flat, step=step) if step else flat
+        plant = lower(stepped, loop.period, EXPLICIT if method in (None, OWN_METHOD) else method)
     controller = controller_block(loop, plant)  # which knows the command
     block = close_loop(
         plant,
@@ -80,7 +93,29 @@ def in_loop(thing, loop: Loop, name: str | None = None) -> BlockContender:
         limits={loop.command: limits_of(loop, plant)},
         name=name or plant.name,
     )
+    told = {key: value for key, value in block.provenance.items() if key not in (BAND, CARD)}
+    told |= lasting(getattr(thing, "provenance", None) or {})
+    block = replace(block, provenance=told, domain=plant.domain)
     return BlockContender(block, kind=str(plant.provenance.get("kind", "physical")), name=name or plant.name)
+
+
+def without_deviations(block: Block) -> Block:
+    """The block without the standard deviations among its outputs."""
+    kept = [k for k, s in enumerate(block.outputs) if not s.name.endswith(SD)]
+    if len(kept) == len(block.outputs):
+        return block
+    x, u, p = (
+        ca.MX.sym(n, len(of)) for n, of in zip("xup", (block.states, block.inputs, block.parameters), strict=True)
+    )
+    y = ca.MX.sym("y", len(kept))
+    given = ca.vertcat(*(y[kept.index(k)] if k in kept else 0 for k in range(len(block.outputs))))
+    following, answered = block.step(x, u, p)
+    return replace(
+        block,
+        outputs=tuple(block.outputs[k] for k in kept),
+        step=ca.Function("step", [x, u, p], [following, answered[kept]], ["x", "u", "p"], ["x_next", "y"]),
+        start=ca.Function("start", [u, y, p], [block.start(u, given, p)], ["u", "y", "p"], ["x"]),
+    )
 
 
 def limits_of(loop: Loop, plant: Block) -> tuple[float, float]:

@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import dataclasses
 import fnmatch
-import math
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, UnitError, nearest
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.records import Record
-from hydrotwin.records.resampling import new_time_axis
+from hydrotwin.records.thinning import sampled_so, thinned
 from hydrotwin.work.executor import executor_for
 
 from .acceptance import Acceptance, Wanted, acceptance
@@ -35,7 +32,6 @@ from .varied import check_variant
 if TYPE_CHECKING:
     import pyarrow
 
-SAME_PERIOD = 1e-9  # relative: two sample times that are one
 _NAMED = re.compile(r"\s*variant\s*=\s*(?P<name>[^:]+?)\s*:\s*(?P<rest>.*)", re.DOTALL)
 
 
@@ -162,7 +158,8 @@ def run_matrix(
         _check_records(variants, records, scenario.title)
         check_asked(dataclasses.replace(scenario, wanted=_any_of(wanted.values())), base, records)
         for one in prepared[1:]:
-            _check_criteria(scenario, one, wanted[one.variant.name], records)
+            seen = [thinned(r, one.variant.period) for r in records]
+            _check_criteria(scenario, one, wanted[one.variant.name], seen)
         first = _first_of(prepared, scenario.initial_states, records)
         counts = [len(p.contenders) * (j == k) * len(records) * len(scenario.modes)
                   for k, (p, j) in enumerate(zip(prepared, first, strict=True))]  # fmt: skip
@@ -229,28 +226,9 @@ def _run(scenario: Scenario, one: _Prepared, read, where: Where, repeats: int, b
     return VariantRun(variant, found, failed)
 
 
-def thinned(record: Record, period: float | None) -> Record:
-    """The recording at about another sample time [s]: those of its samples that lie nearest to such times.
-
-    Values on the line between samples would have less noise, and a held input values that nobody had set.
-    """
-    if period is None or _sampled_so(record, period):
-        return record
-    times = new_time_axis(record.time, period, None, record.name)
-    at = np.searchsorted(record.time, times).clip(1, len(record) - 1)
-    at -= times - record.time[at - 1] <= record.time[at] - times  # of two as near the first
-    kept = np.unique(at)
-    return dataclasses.replace(record, time=record.time[kept], signals={n: v[kept] for n, v in record.signals.items()})
-
-
-def _sampled_so(record: Record, period: float) -> bool:
-    """Whether a recording has this sample time [s] as it is."""
-    return record.uniform and math.isclose(record.period, period, rel_tol=SAME_PERIOD)
-
-
 def _period(variant: Variant, records: Sequence[Record]) -> float | None:
     """The sample time [s] to which a variant thins out; None where that changes no recording."""
-    if variant.period is None or all(_sampled_so(r, variant.period) for r in records):
+    if variant.period is None or all(sampled_so(r, variant.period) for r in records):
         return None
     return variant.period
 

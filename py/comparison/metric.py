@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 OF_OUTPUT, SHARE, TIME, PLAIN = "output", "share", "time", "number"  # what a metric is measured in
+AGAIN = 1e-4  # relative: numbers of the same runs on another processor or compiler differ by less
 _STILL = "{output} does not move there"
 _NO_BAND = "the model has no band of {output} there"
 

@@ -41,7 +41,8 @@ def errors_of(measured: np.ndarray, predicted: np.ndarray) -> Errors:
     >>> errors_of(np.array([0.0, 2.0, 4.0]), np.array([0.0, 2.0, 1.0])).maximum
     3.0
 
-    Raises DataError when nothing was measured, or when the prediction is not finite where something was.
+    Raises DataError when nothing was measured, or when the prediction is not finite where something was, or so far off
+    that no number holds its square.
     """
     measured, predicted = np.asarray(measured, float), np.asarray(predicted, float)
     known = np.isfinite(measured)
@@ -55,8 +56,15 @@ def errors_of(measured: np.ndarray, predicted: np.ndarray) -> Errors:
         )
     y, e = measured[known], predicted[known] - measured[known]
     swing = float(np.linalg.norm(y - y.mean()))
+    with np.errstate(over="ignore"):
+        mean_square = float(np.mean(e**2))
+    if not np.isfinite(mean_square):
+        raise DataError(
+            f"the errors are beyond numbers (got up to {np.abs(e).max():.3g}). Check the unit of the column, and "
+            "whether the model diverges."
+        )
     return Errors(
-        rmse=float(np.sqrt(np.mean(e**2))),
+        rmse=float(np.sqrt(mean_square)),
         mae=float(np.mean(np.abs(e))),
         maximum=float(np.max(np.abs(e))),
         fit_percent=100.0 * (1.0 - float(np.linalg.norm(e)) / swing) if np.ptp(y) > 0.0 else float("nan"),

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydrotwin.records import all_unbroken, cuts, turned_back
+from hydrotwin.records.sizes import far_from_usual
 
 from .band import made_from
 from .criteria import some_of
@@ -21,13 +22,19 @@ if TYPE_CHECKING:
 def notices(comparison: Comparison) -> tuple[str, ...]:
     """All of them: what a model was made from, what failed, what cannot be believed, what recordings lack."""
     first = seen_before(comparison) + _inaccurate(comparison) + _failures(comparison) + _unlikely(comparison)
-    return tuple(first + _cut(comparison) + _turned(comparison) + _holes(comparison) + _uneven(comparison))
+    found = _sizes(comparison) + _cut(comparison) + _turned(comparison) + _holes(comparison) + _uneven(comparison)
+    return tuple(first + found)
 
 
 def remarks(comparison: Comparison) -> list[str]:
     """Those that a terminal has not told in another way: of recordings as they are read, of failures and of inaccurate
     runs as they happen."""
-    return seen_before(comparison) + _unlikely(comparison) + _cut(comparison) + _uneven(comparison)
+    return seen_before(comparison) + _unlikely(comparison) + _sizes(comparison) + _cut(comparison) + _uneven(comparison)
+
+
+def _sizes(comparison: Comparison) -> list[str]:
+    """Columns of most likely another unit."""
+    return far_from_usual(comparison.records, [s for e in comparison.entrants for s in (*e.inputs, *e.outputs)])
 
 
 def _cut(comparison: Comparison) -> list[str]:

@@ -9,6 +9,7 @@ import numpy as np
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.units import si_unit
 from hydrotwin.records import Record
+from hydrotwin.records.steps import usual
 
 WINDOW = 0.05  # s, over which a slope is taken
 GAP = 3.0  # usual samples, or half windows: a longer stretch without a sample is a gap
@@ -55,9 +56,10 @@ def with_rates(record: Record, signals: Sequence[Signal], measured: Record | Non
 def _slopes(time: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Slopes (n,) at the samples; NaN where the window ends in a gap."""
     steps = np.diff(time)
-    usual = float(np.median(steps))
-    half = max(WINDOW / 2, usual)
+    own = usual(steps)  # of a clock that turns slower what is usual there
+    own = np.maximum(np.concatenate([own[:1], own]), np.concatenate([own, own[-1:]]))
+    half = np.maximum(WINDOW / 2, own)
     after, before = np.minimum(time + half, time[-1]), np.maximum(time - half, time[0])
     slopes = (np.interp(after, time, values) - np.interp(before, time, values)) / (after - before)
     beside = [steps[np.clip(np.searchsorted(time, at) - 1, 0, len(steps) - 1)] for at in (after, before)]
-    return np.where(np.maximum(*beside) <= GAP * max(usual, WINDOW / 2), slopes, np.nan)
+    return np.where(np.maximum(*beside) <= GAP * np.maximum(own, WINDOW / 2), slopes, np.nan)

@@ -10,7 +10,8 @@ from pathlib import Path
 from hydrotwin.models.language import Model
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import Reading, Record, read_record, require_once
+from hydrotwin.records import Reading, Record, distinct, read_record, require_once
+from hydrotwin.records.reading import check_constants
 from hydrotwin.work.executor import Here, cores_of, executor_for, mapped
 from hydrotwin.work.memory import Memory
 
@@ -26,6 +27,7 @@ from .variants import Variant
 from .varied import Thing, concerns, run_as, varied, with_values
 
 HOLD_LAST = "hold_last"
+SET_SO = 'set it in a scenario, {{model = "...", set = {{{name} = "{value}"}}}}.'
 MANY = 8  # recordings that several processes read faster than one
 
 
@@ -103,7 +105,8 @@ def read_all(
     found = list(mapped(Here() if alone else pool, _read, [(path, scenario.reading) for path in paths]))
     count = len(scenario.validate)
     require_once(found[:count])
-    tagged = [scenario.tags.put(r, path) for r, path in zip(found[:count], scenario.validate, strict=True)]
+    (named,) = distinct(found[:count])  # as criteria name them
+    tagged = [scenario.tags.put(r, path) for r, path in zip(named, scenario.validate, strict=True)]
     check_tags(tagged)
     if on_read:
         on_read(tagged)
@@ -111,7 +114,10 @@ def read_all(
 
 
 def check_asked(scenario: Scenario, contenders: Sequence[Contender], records: Sequence[Record]) -> None:
-    """Refuse before a long run criteria that could not be judged after it."""
+    """Refuse before a long run criteria that could not be judged after it, and constants that nothing reads."""
+    known = {s.name for c in contenders for s in (*c.inputs, *c.outputs)} | scenario.tags.read
+    settable = {p.name for c in contenders for p in getattr(c, "parameters", None) or ()}
+    check_constants(scenario.reading, known, settable, SET_SO)
     check_wanted(scenario.wanted, asked_of(scenario, contenders, records))
 
 
@@ -139,8 +145,11 @@ def load_contenders(
     contenders: list[Contender] = []
     for one in things_of(scenario, resolve):
         thing = one.thing if variant is None else varied(one, variant)
-        made = in_loop(thing, scenario.loop, one.name) if scenario.loop else as_contender(thing, one.name)
-        contenders.append(made if variant is None or not concerns(one, variant) else run_as(made, variant))
+        own = variant if variant is not None and concerns(one, variant) else Variant()
+        if scenario.loop:
+            contenders.append(in_loop(thing, scenario.loop, one.name, step=own.step, method=own.method))
+        else:
+            contenders.append(run_as(as_contender(thing, one.name), own))
     for k, entry in enumerate(scenario.models):
         if entry.model == HOLD_LAST:
             outputs = {s.name: s for c in contenders for s in c.outputs}

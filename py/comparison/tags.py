@@ -45,6 +45,11 @@ class Tags:
     by_file: Mapping[Path, Mapping[str, object]] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def read(self) -> frozenset[str]:
+        """Columns that are read for them."""
+        return frozenset(f["column"] if (f := _STEPS.fullmatch(what)) else what for what in self.columns.values())
+
     def put(self, record: Record, path: Path) -> Record:
         """The recording with its tags; what is said of a file counts before a column, and a column before its name.
 

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hydrotwin.models.language.errors import SolveError
+from hydrotwin.models.language.flat import IDENTIFIED
 from hydrotwin.records.whiteness import SIGNIFICANCE, ljung_box
 from hydrotwin.simulation.control import Accuracy
 
@@ -246,7 +247,7 @@ def _fitted(free: FreeParameters, values, at_bound, sandwich, white) -> tuple[Fi
 def _with_results(task: Task, parameters: Sequence[FittedParameter]):
     """The model with fitted values, their sigmas and where they come from."""
     fitted = {p.name: p for p in parameters}
-    source = f"identified from {', '.join(r.name for r in task.recordings)}"
+    source = f"{IDENTIFIED} from {', '.join(r.name for r in task.recordings)}"
     names = [p.name for p in task.flat.parameters]
     given = task.flat.with_parameters(dict(zip(names, task.free.all_values, strict=True)))
     return dataclasses.replace(

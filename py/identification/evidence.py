@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hydrotwin.models.language.credibility import FIT, IDENTIFY, JUDGE, Evidence, now, recording_rows, versions
+from hydrotwin.models.language.flat import RECORDINGS
 from hydrotwin.records import Record
 
 from .bands import SPREAD, Spread
@@ -17,7 +18,7 @@ ROLES = {"train": FIT, "validate": JUDGE}
 def provenance_of_fit(fit: Fit) -> dict:
     """What the fitted model says of its making: recordings, noise, errors, and how sure the fit is (`Spread`)."""
     return {
-        "recordings": [{"name": r.name, "role": r.role, "sha256": r.digest or ""} for r in fit.records],
+        RECORDINGS: recordings_of(fit),
         "chi2_per_sample": float(fit.chi2_per_dof),
         "noise": dict(fit.noise),
         "rmse": fit.rmse,
@@ -25,6 +26,11 @@ def provenance_of_fit(fit: Fit) -> dict:
         "findings": [str(f) for f in fit.findings],
         SPREAD: Spread.of(fit).told(),
     }
+
+
+def recordings_of(fit: Fit) -> list[dict[str, str]]:
+    """Name, role and SHA-256 of the recordings of a fit."""
+    return [{"name": r.name, "role": r.role, "sha256": r.digest or ""} for r in fit.records]
 
 
 def evidence_of_fit(fit: Fit, train: Sequence[Record], judged: Sequence[Record]) -> Evidence:

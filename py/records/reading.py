@@ -5,7 +5,7 @@ from __future__ import annotations
 import fnmatch
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 
@@ -157,6 +157,22 @@ def _checked_unit(name: str, unit: str) -> None:
         parse_unit(unit)
     except HydrotwinError as error:
         raise DataError(f"units: '{name}': {error}") from None
+
+
+def check_constants(reading: Reading, signals: Collection[str], parameters: Collection[str], way: str) -> None:
+    """Raises `DeclarationError` for what is said to have been constant, and is no signal: nothing would read it.
+
+    parameters : names that somebody may have meant; way : how such a one is set, with ``{name}`` and ``{value}``.
+    """
+    for name, value in reading.constants.items():
+        if name in signals:
+            continue
+        meant = nearest(name, signals)
+        if name in parameters:
+            meant = f"It is a parameter: {way.format(name=name, value=value)}"
+        raise DeclarationError(
+            f"set: '{name}' is neither an input nor an output here, so that nothing would read it. {meant}"
+        )
 
 
 def constant(name: str, text: str) -> tuple[float, str]:

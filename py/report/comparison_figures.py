@@ -75,7 +75,8 @@ def error_bar_groups(comparison: Comparison, shown: Mapping[str, str], look: Map
 def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, look, points: int, hidden) -> Figure:
     predictions = _predictions(comparison, signal, record, mode)
     measured = record[signal.name]
-    data = [line(record.time, to_shown(measured, signal.unit, unit), "measured", MEASURED, width=3.0, points=points)]
+    of_measured = {"width": 3.0, "points": points, "recorded": True}
+    data = [line(record.time, to_shown(measured, signal.unit, unit), "measured", MEASURED, **of_measured)]
     errors = []
     for name, values in predictions.items():
         style, error = look[name], difference_to_shown(values - measured, signal.unit, unit)
@@ -84,6 +85,7 @@ def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, l
             "width": style.width,
             "points": points,
             "hidden": name in hidden,
+            "recorded": True,
         }
         data.append(line(record.time, to_shown(values, signal.unit, unit), name, style.colour, **drawn))
         deviation = comparison.deviation(name, record.name, signal.name, mode)
@@ -92,8 +94,8 @@ def _overlay(comparison, signal: Signal, record: Record, mode: str, unit: str, l
             around, alone = ([to_shown(values + w, signal.unit, unit) for w in wide],
                              [difference_to_shown(w, signal.unit, unit) for w in wide])  # fmt: skip
             how = {"points": points, "hidden": name in hidden}
-            data += band(record.time, around, name, style.colour, row=1, **how)
-            errors += band(record.time, alone, name, style.colour, row=2, **how)
+            data.append(band(record.time, around, name, style.colour, row=1, **how))
+            errors.append(band(record.time, alone, name, style.colour, row=2, **how))
         errors.append(line(record.time, error, name, style.colour, row=2, legend=False, **drawn))
     data += errors
     label = pretty_unit(unit)

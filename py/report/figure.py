@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hydrotwin.records.steps import holes_at
+
 # Okabe and Ito, Color Universal Design (2008): told apart with any colour vision. Without yellow: too pale on white.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#7F5539")
 MEASURED = "#1b1b1b"
 _DASHES = ("solid", "dash", "dot", "dashdot")
-HOLE = 5.0  # times the usual distance of known samples: a line ends there
 FINE = 1e-5  # of the range of an array: what rounding may move it in a plot, a fiftieth of the pixels of a wide screen
 
 
@@ -101,18 +102,20 @@ def decimate(time: np.ndarray, values: np.ndarray, points: int) -> tuple[np.ndar
     return time[keep], values[keep]
 
 
-def bridged(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The samples that are known; of NaN stays one where a hole is many times the usual distance of known samples.
+def outline(x: np.ndarray, values: np.ndarray, points: int, breaks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Known values (n,), decimated to at most ``points``, with a NaN behind each of ``breaks``, where a line ends."""
+    at, v = decimate(np.arange(len(x)), values, points)
+    x, ends = x[at], np.unique(np.searchsorted(at, breaks, side="right"))
+    return np.insert(x, ends, (x[ends - 1] + x[ends]) / 2), np.insert(v, ends, np.nan)
 
-    A slow sensor among fast ones has a value in every tenth row: a line between NaNs would not be drawn at all.
-    """
-    known = np.flatnonzero(~np.isnan(values))
-    if len(known) in (0, len(values)):
-        return time, values
-    steps = np.diff(known)
-    holes = known[:-1][steps > HOLE * np.median(steps)] + 1 if len(steps) else known[:0]
-    keep = np.sort(np.concatenate([known, holes]))
-    return time[keep], values[keep]
+
+def _drawn(x: np.ndarray, values: np.ndarray, points: int, recorded: bool) -> tuple[np.ndarray, np.ndarray]:
+    """What is drawn of a curve: a slow sensor among fast ones has a value in every tenth row, and is a line as well."""
+    known = ~np.isnan(values)
+    if not known.any() or (known.all() and not recorded):
+        return decimate(x, values, points)
+    x, values = x[known], values[known]
+    return outline(x, values, points, holes_at(x) if (np.diff(x) > 0).all() else np.zeros(0, dtype=int))
 
 
 def line(
@@ -127,9 +130,14 @@ def line(
     row: int = 1,
     legend: bool = True,
     hidden: bool = False,
+    recorded: bool = False,
 ) -> dict:
-    """A decimated line on axis row 1, 2, ... of a figure made by `layout`."""
-    t, v = bridged(*decimate(np.asarray(time, float), np.asarray(values, float), points))
+    """A decimated line on axis row 1, 2, ... of a figure made by `layout`.
+
+    recorded : it is over the time of a recording, and ends at its holes. Where values are unknown it ends at a hole in
+    what is known alone.
+    """
+    t, v = _drawn(np.asarray(time, float), np.asarray(values, float), points, recorded)
     return {
         "type": "scatter",
         "mode": "lines",
@@ -148,27 +156,38 @@ def line(
 
 def band(
     time: np.ndarray, sides: Sequence[np.ndarray], name: str, colour: str, *, row: int, points: int, hidden: bool
-) -> list[dict]:
-    """The area between two curves, low and high, in a pale colour; it comes and goes with the line of that name."""
-    t, low, high = (np.asarray(v, float) for v in (time, *sides))
-    keep = np.unique(np.linspace(0, len(t) - 1, min(points, len(t))).astype(int))
-    shared = {
+) -> dict:
+    """The area between two curves, low and high, in a pale colour; it comes and goes with the line of that name.
+
+    It ends at holes of the recording, each side with every peak, as lines do.
+    """
+    t, *both = (np.asarray(v, float) for v in (time, *sides))
+    known = np.isfinite(both[0] + both[1])
+    t, both = t[known], [side[known] for side in both]
+    edges = [np.split(v, holes_at(t) + 1) for v in (t, *both)]
+    areas = [_around(*piece, max(2, points * len(piece[0]) // max(1, len(t)))) for piece in zip(*edges, strict=True)]
+    return {
         "type": "scatter",
         "mode": "lines",
         "name": name,
         "legendgroup": name,
         "showlegend": False,
         "visible": "legendonly" if hidden else True,
-        "x": packed(t[keep]),
+        "x": packed(np.concatenate([x for x, _ in areas])),
+        "y": packed(np.concatenate([y for _, y in areas])),
         "xaxis": "x",
         "yaxis": "y" if row == 1 else f"y{row}",
         "hoverinfo": "skip",
         "line": {"width": 0, "color": colour},
+        "fill": "toself",
+        "fillcolor": _faded(colour, 0.16),
     }
-    return [
-        shared | {"y": packed(low[keep])},
-        shared | {"y": packed(high[keep]), "fill": "tonexty", "fillcolor": _faded(colour, 0.16)},
-    ]
+
+
+def _around(t: np.ndarray, low: np.ndarray, high: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray]:
+    """The way along the one side and back along the other, and a NaN, behind which the next area begins."""
+    (there, low), (back, high) = (decimate(t, side, points) for side in (low, high))
+    return np.concatenate([there, back[::-1], [np.nan]]), np.concatenate([low, high[::-1], [np.nan]])
 
 
 def packed(values: np.ndarray) -> dict:

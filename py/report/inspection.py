@@ -134,9 +134,8 @@ def _figures(records: Sequence[Record]) -> FigureGroup:
     for name in names:
         having = [r for r in shown if name in r.names]
         unit = having[0].display_units.get(name, having[0].units[name])
-        lines = [
-            line(r.time - r.time[0], _shown(r, name, unit), r.name, style[r.name].colour, points=POINTS) for r in having
-        ]
+        how = {"points": POINTS, "recorded": True}
+        lines = [line(r.time - r.time[0], _shown(r, name, unit), r.name, style[r.name].colour, **how) for r in having]
         look = layout("time [s]", [f"{name} [{pretty_unit(unit)}]"])
         figures.append(Figure(f"plot_{name}", name, {"data": lines, "layout": look}))
     left = f" The first {MOST_FILES} of {len(records)} recordings." if len(records) > MOST_FILES else ""

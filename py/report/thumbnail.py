@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from markupsafe import Markup
 
-from .figure import HOLE, decimate, unpacked
+from .figure import outline, unpacked
 
 WIDE, HIGH, POINTS = 400, 100, 160  # units of the picture, and points of a curve
 MOST = 8  # curves
@@ -20,7 +20,7 @@ def thumbnail(spec: Mapping) -> Markup:
     """
     axes = [spec["layout"].get(name, {}).get("type") for name in ("xaxis", "yaxis")]
     curves = [(trace["line"]["color"], *_points(trace, axes)) for trace in spec["data"] if _shows(trace)][:MOST]
-    curves = [(colour, x, y) for colour, x, y in curves if (np.isfinite(x) & np.isfinite(y)).any()]
+    curves = [(colour, x, y) for colour, x, y in curves if len(x)]
     if not curves:
         return Markup("")
     across = [WIDE * x for x in _together([x for _, x, _ in curves])]
@@ -39,7 +39,9 @@ def _shows(trace: Mapping) -> bool:
 
 
 def _points(trace: Mapping, axes: Sequence[str | None]) -> tuple[np.ndarray, np.ndarray]:
-    return decimate(*(_numbers(trace[of], axis) for of, axis in zip("xy", axes, strict=True)), POINTS)
+    x, y = (_numbers(trace[of], axis) for of, axis in zip("xy", axes, strict=True))
+    known = np.flatnonzero(np.isfinite(x) & np.isfinite(y))
+    return outline(x[known], y[known], POINTS, np.flatnonzero(np.diff(known) > 1))
 
 
 def _numbers(values: Mapping | Sequence, axis: str | None) -> np.ndarray:
@@ -60,12 +62,12 @@ def _together(curves: Sequence[np.ndarray]) -> list[np.ndarray]:
 
 
 def _path(x: np.ndarray, y: np.ndarray) -> str:
-    """A line through the known points, broken at a hole."""
-    known = np.isfinite(x) & np.isfinite(y)
-    x, y = x[known], y[known]
-    steps = np.diff(x)
-    begins = np.r_[True, steps > HOLE * np.mean(steps)] if len(steps) else [True] * len(x)
-    return "".join(f"{'M' if b else 'L'}{px:.0f} {py:.0f}" for b, px, py in zip(begins, x, y, strict=True))
+    """A line through the known points, broken where one is unknown."""
+    known = np.isfinite(y)
+    begins = np.r_[True, ~known[:-1]][known]
+    return "".join(
+        f"{'M' if b else 'L'}{px:.0f} {py:.0f}" for b, px, py in zip(begins, x[known], y[known], strict=True)
+    )
 
 
 def _place(plan: Mapping) -> str:

@@ -20,7 +20,8 @@ from .machine import DEAR, DONE
 from .recent import Recent
 from .stops import raise_stop
 
-METHODS = ("auto", "explicit", "implicit", "vm")
+OWN_METHOD = "auto"  # of a run that is asked for no other
+METHODS = (OWN_METHOD, "explicit", "implicit", "vm")
 FINEST = 8  # by how much "auto" may divide the step of a model of few states before it turns to the implicit method
 TRIALS = 4  # by how much more it may divide the steps around kinks, on the average of a run
 

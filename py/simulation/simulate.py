@@ -17,7 +17,7 @@ from . import sampled
 from .block import INSIDE_TRAINING, ON_THE_EDGE, TRAINING_DISTANCE, Block
 from .control import Accuracy
 from .inputs import as_seen
-from .propagator import prepare
+from .propagator import OWN_METHOD, prepare
 
 
 class InaccurateWarning(UserWarning):
@@ -38,7 +38,7 @@ def simulate(
     parameters: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
     step: float | None = None,
-    method: str = "auto",
+    method: str = OWN_METHOD,
     interpolation: Mapping[str, str] | None = None,
 ) -> Record:
     """Outputs of a model or Block at ``record.time``, driven by the inputs in the record. Its time is 0 as they begin.
@@ -48,7 +48,7 @@ def simulate(
     the record, outputs are linear between those of the block. A Block that knows its training domain also gives
     ``training_distance`` (box widths outside, 0 inside) and ``inside_training_domain`` (1 or 0).
 
-    parameters : changed parameter values (SI, by path). step, method : see `prepare` (models only).
+    parameters : changed parameter values (SI, by path). step, method : see `prepare`; a Block is refused them.
     interpolation : "hold" or "linear" by input, in place of what the model says or the recording shows.
 
     Of a model's run the answer's ``accuracy`` says how far it is from that with half the step; a run that misses
@@ -59,6 +59,7 @@ def simulate(
     record = filled(record, model)
     model = settled(model, [record], interpolation)
     if isinstance(model, Block):
+        check_own_period(model, step, method)
         run = _block_run(model, record, parameters, start)
         y = sampled.run_block(model, run.grid, run.u, run.p, run.x0)[0]
         return _with_domain(answer_of(record, model, y, run.grid), model, run, y)
@@ -80,7 +81,7 @@ def predict_one_step(
     parameters: Mapping[str, float] | None = None,
     start: Mapping[str, float] | None = None,
     step: float | None = None,
-    method: str = "auto",
+    method: str = OWN_METHOD,
 ) -> Record:
     """Outputs predicted from each sample to the next.
 
@@ -90,6 +91,7 @@ def predict_one_step(
     record = filled(record, model)
     model = settled(model, [record])
     if isinstance(model, Block):
+        check_own_period(model, step, method)
         run = _block_run(model, record, parameters, start)
         _, x = sampled.run_block(model, run.grid, run.u, run.p, run.x0)
         measured = _corrected(model, record, x, run.grid)
@@ -101,6 +103,14 @@ def predict_one_step(
     _, x = propagator.run(since_start(record), u, p, x0)
     restart = _corrected(flat, record, x, record.time)
     return answer_of(record, flat, propagator.run(since_start(record), u, p, x0, restart)[0])
+
+
+def check_own_period(block: Block, step: float | None, method: str) -> None:
+    """Raises DeclarationError where a block is asked for a step or a method: it has its own."""
+    if step is not None or method != OWN_METHOD:
+        raise DeclarationError(
+            f"simulate: {block.name} steps every {block.period:g} s, and step and method do not reach it. Drop them."
+        )
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ from .block import Block
 from .control import Accuracy
 from .many import Ran, controlled_many, run_many
 from .propagator import prepare
-from .simulate import InaccurateWarning, answer_of, filled, inputs_of, simulate, since_start, started
+from .simulate import InaccurateWarning, answer_of, check_own_period, filled, inputs_of, simulate, since_start, started
 from .stops import Diverged
 
 
@@ -85,6 +85,7 @@ def simulate_many(
     sets = _mappings(model, parameter_sets, names)
     record = filled(record, model)
     if isinstance(model, Block):
+        check_own_period(model, step, method)
         ran = [_block_run(model, record, parameters, start, interpolation) for parameters in sets]
     else:
         model = settled(model, [record], interpolation)

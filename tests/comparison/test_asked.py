@@ -56,7 +56,9 @@ def test_a_model_is_not_worse_than_itself_before(tmp_path, metric):
         rows = [s for s in before.scores if (s.model, s.output) == (model, "arm_angle")]
         defined = metric != "steady" or not np.isnan([r.steady for r in rows]).any()
         assert [one.passed for one in found.judged] == [defined, defined]
-        assert [one.value for one in found.judged] == pytest.approx([one.high for one in found.judged], nan_ok=True)
+        assert [one.value for one in found.judged] == pytest.approx(
+            [one.high for one in found.judged], rel=1.1e-4, nan_ok=True
+        )
 
 
 def test_nobody_is_as_good_as_a_model_that_failed():
@@ -180,6 +182,24 @@ def test_a_name_that_two_recordings_have_is_no_group(tmp_path):
         acceptance(comparison, Wanted(("run: arm_angle.rmse < 0.02 deg",)))
     with pytest.raises(DeclarationError, match="more than one recording is called run:"):
         acceptance(comparison, Wanted(("run (2): arm_angle.rmse < 0.02 deg",)))
+
+
+@pytest.mark.parametrize("name", ["run", "run (2)"])
+def test_it_is_refused_before_anything_runs(tmp_path, name):
+    """Recordings were told apart only where they ran: all of it, and then nothing was written."""
+    for k in (1, 2):
+        (tmp_path / str(k)).mkdir()
+        write_record(recording(k, duration=1.0), tmp_path / str(k) / "run.csv")
+    files = tuple(tmp_path / str(k) / "run.csv" for k in (1, 2))
+    wanted = Wanted((f"{name}: arm_angle.rmse < 1 deg",))
+
+    class Never(Toy):
+        def free_run(self, record):
+            raise AssertionError("it ran")
+
+    scenario = Scenario("twice", (ModelEntry("toy"),), files, modes=FREE, wanted=wanted)
+    with pytest.raises(DeclarationError, match=r"more than one recording is called run: .*run, run \(2\)"):
+        run_scenario(scenario, lambda name: Never("toy"))
 
 
 @pytest.mark.parametrize(

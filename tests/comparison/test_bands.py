@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import FREE_RUN, BlockContender, PhysicalContender, as_contender, compare
+from hydrotwin.comparison import FREE_RUN, ONE_STEP, BlockContender, PhysicalContender, as_contender, compare
 from hydrotwin.comparison.band import SEEN, Band, Held, bands_of, held_here
 from hydrotwin.comparison.elsewhere import other_reasons
 from hydrotwin.comparison.notices import notices
@@ -24,7 +24,7 @@ from hydrotwin.records import Record
 from hydrotwin.report import write_report
 from tests.comparison.toys import OUTPUTS, Toy, recording
 from tests.identification.drive import drive, recorded
-from tests.learned.toy_machine import ANGLE, COMMAND, toy_record, untrained_block
+from tests.learned.toy_machine import ANGLE, COMMAND, toy_record, untrained_block, with_deviation
 
 
 @pytest.fixture(scope="module")
@@ -196,3 +196,39 @@ def test_a_comparison_holds_its_bands_against_what_it_measured(arx):
     (band,) = found.entrants[0].bands
     assert band.trusted is False and "measured here" in band.why
     assert any("bands of sure cannot be trusted" in n for n in notices(found))
+
+
+class Claims(Toy):
+    """A toy with a deviation (n,) of its angle, rad."""
+
+    def __init__(self, told):
+        super().__init__("claims")
+        self.told = told
+
+    def deviations(self, record):
+        return {"arm_angle": self.told}
+
+
+def coverage(told) -> float:
+    found = compare([Claims(told)], [recording(1)], modes=[FREE_RUN], repeats=0, outputs=["arm_angle"])
+    return found.scores[0].coverage
+
+
+def test_what_is_claimed_to_be_known_exactly_is_missed_and_what_is_not_told_is_no_band():
+    """Such samples were left out: a band of nothing in nine of ten covered all."""
+    n = len(recording(1))
+    wide, nothing = np.full(n, 1.0), np.zeros(n)
+    assert coverage(wide) == 1.0 and coverage(np.where(np.arange(n) % 10, 0.0, wide)) == pytest.approx(0.1, abs=0.01)
+    assert np.isnan(coverage(nothing)) and np.isnan(coverage(np.where(np.arange(n) == n // 2, np.nan, wide)))
+
+
+def test_deviations_of_one_step_are_those_of_a_step_of_the_recording(arx):
+    """Of a recording twice as slow the second step was told as if it were the first: 82 % lay in the band of a Gaussian
+    process that held 95."""
+    block, record = with_deviation(arx), toy_record(3)
+    assert block.period in (0.02, 0.04)
+    slow = dataclasses.replace(record, time=record.time[::3], signals={n: v[::3] for n, v in record.signals.items()})
+    own = record.resample(block.period)
+    found = compare([as_contender(block)], [own, dataclasses.replace(slow, name="slow")], repeats=0)
+    known = {(s.record == "slow", s.mode): np.isfinite(s.coverage) for s in found.scores if s.output == "arm_angle"}
+    assert known == {(False, FREE_RUN): True, (True, FREE_RUN): True, (False, ONE_STEP): True, (True, ONE_STEP): False}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import control
@@ -9,12 +10,17 @@ import numpy as np
 import pytest
 
 import hydrotwin
-from hydrotwin.comparison import read_scenario, run_scenario
+from hydrotwin.comparison import Variant, as_contender, read_scenario, run_scenario
+from hydrotwin.comparison.band import bands_of, made_from
 from hydrotwin.comparison.loop import Loop, in_loop, read_loop
+from hydrotwin.comparison.running import load_contenders
+from hydrotwin.learned import learn
 from hydrotwin.models.language.errors import DeclarationError, TopologyError
 from hydrotwin.simulation import lower
 from hydrotwin.simulation.closed_loop import close_loop
 from hydrotwin.simulation.control_system import from_control
+from hydrotwin.work.memory import key_of
+from tests.learned.toy_machine import ANGLE, COMMAND, toy_record, with_deviation
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "cehA" / "closed_loop"
 PERIOD = 0.01
@@ -77,3 +83,33 @@ def test_a_wrong_loop_says_what_is_wrong(change, sentence):
              "numerator": [40.0], "denominator": [1.0]} | change  # fmt: skip
     with pytest.raises(DeclarationError, match=sentence):
         in_loop(hydrotwin.load("cehA"), read_loop(table, "scenario.toml"))
+
+
+def test_a_loop_has_no_bands_and_says_what_its_model_was_made_from():
+    """What held an open run, in which nothing makes up for errors, had been told of the loop: all of it lay inside."""
+    learnt = learn("arx", [toy_record(1), toy_record(2)], [COMMAND], [ANGLE])
+    rows = [{"name": "toy_9", "role": "train", "sha256": toy_record(9).digest}]
+    fitted = hydrotwin.load("cehA").with_settings({}, {"recordings": rows})
+    looped = [in_loop(one, dataclasses.replace(GAIN, period=one.period)) for one in (learnt, with_deviation(learnt))]
+    for own in (as_contender(learnt), as_contender(with_deviation(learnt))):
+        assert bands_of(own)
+    for one in looped:
+        assert not bands_of(one) and not one.half_widths and one.domain is learnt.domain
+        assert made_from(one.provenance) == {toy_record(k).digest for k in (1, 2)}
+        assert [s.name for s in one.outputs] == ["arm_angle", "command"]
+    assert made_from(in_loop(fitted, GAIN).provenance) == {toy_record(9).digest}
+    record = toy_record(3).with_signals({"reference": np.full(len(toy_record(3)), 0.4)}, {"reference": "rad"})
+    plain, bare = (one.free_run(record)["arm_angle"] for one in looped)
+    assert (plain == bare).all()
+
+
+def test_a_variant_of_a_loop_steps_as_it_says():
+    """Its step and its method reached no loop: the variant was the base again, and met its criteria."""
+    scenario = read_scenario(EXAMPLE / "scenario.toml")
+
+    def stepped(**changes):
+        variant = Variant("v", **changes) if changes else None
+        return next(c for c in load_contenders(scenario, hydrotwin.load, variant) if c.name == "cehA").content
+
+    keys = [key_of(stepped(**changes)) for changes in ({}, {"step": 2e-4}, {"method": "implicit"}, {"method": "auto"})]
+    assert len(set(keys)) == 3 and keys[3] == keys[0]

@@ -139,3 +139,14 @@ def test_outputs_that_only_one_of_two_comparisons_scored_are_told(good, failing,
     assert found.otherwise == ("Outputs new against the earlier comparison: motor_speed, pressure_cap.",)
     assert any("Outputs new" in text for text in lines_of(found))
     assert not acceptance(failing, Wanted(against=written(good, tmp_path))).otherwise
+
+
+@pytest.mark.parametrize(("shift", "passed"), [(1e-9, True), (2e-5, True), (2e-3, False)])
+def test_the_same_run_on_another_processor_is_not_worse(good, tmp_path, shift, passed):
+    """The last digit had missed it, by 0 % too much."""
+    path = write_report(good, tmp_path)["json"]
+    told = json.loads(path.read_text(encoding="utf-8"))
+    rows = [row | {"rmse": row["rmse"] * (1 - shift)} for row in told["scores"]]
+    path.write_text(json.dumps(told | {"scores": rows}), encoding="utf-8")
+    (judged,) = acceptance(good, Wanted((f"arm_angle not worse than {path}",))).judged
+    assert judged.passed is passed

@@ -14,10 +14,9 @@ import pytest
 import hydrotwin
 from hydrotwin.comparison import Where, compare, read_scenario, run_matrix, run_scenario
 from hydrotwin.comparison.comparison import Inaccurate
-from hydrotwin.comparison.matrix import thinned
 from hydrotwin.models import cehA
 from hydrotwin.models.language.errors import DeclarationError, UnitError
-from hydrotwin.records import Record, write_record
+from hydrotwin.records import write_record
 from hydrotwin.report import as_html, as_markdown, matrix_page
 from hydrotwin.report.matrix import variants_data
 from hydrotwin.work.executor import executor_for
@@ -214,17 +213,6 @@ def test_variants_that_are_new_gone_or_others_than_in_the_earlier_comparison_are
         "weak changed something else then: errors may differ by that alone.",
     )
     assert varied("").runs[0].accepted.otherwise == ("Variants no longer compared: slow, weak.",)
-
-
-def test_a_recording_is_thinned_out_to_samples_of_its_own():
-    """On the line between two, noise is smaller, and a command has a value that nobody set."""
-    rng, time = np.random.default_rng(1), 3.0 + 0.5 * np.arange(400)
-    record = Record(time, {"u": np.where(time < 50.2, 1.0, 0.0), "y": rng.normal(size=400)}, {"u": "V", "y": "m"}, "r")
-    found = thinned(record, 0.7)
-    assert set(found["u"]) == {0.0, 1.0} and np.isin(found["y"], record["y"]).all()
-    assert np.abs(found.time - np.round((found.time - 3.0) / 0.7) * 0.7 - 3.0).max() <= 0.25 + 1e-9
-    assert found.period == pytest.approx(0.7, abs=0.21) and 283 <= len(found) <= 286
-    assert (thinned(record, 2.0)["y"] == record["y"][::4]).all() and thinned(record, 0.5) is record
 
 
 @pytest.mark.parametrize(

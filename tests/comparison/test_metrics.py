@@ -53,3 +53,9 @@ def test_a_prediction_that_is_not_finite_names_the_sample():
 def test_nothing_measured_is_refused():
     with pytest.raises(DataError, match="no finite sample"):
         errors_of(np.full(4, np.nan), PREDICTED)
+
+
+def test_errors_whose_squares_no_number_holds_are_refused():
+    """They had been infinite, and the page of a comparison ended in a traceback."""
+    with pytest.raises(DataError, match=r"beyond numbers \(got up to 1e\+300"):
+        errors_of(np.array([0.0, 1.0]), np.array([1e300, 1.0]))

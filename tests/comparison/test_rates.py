@@ -50,3 +50,12 @@ def test_a_slow_sensor_has_its_slope_at_its_own_samples_and_none_across_a_gap():
         (score,) = (s for s in found.scores if s.output == "arm_angle.rate")
         assert not found.failures and fewest <= score.samples <= np.isfinite(values).sum()
         assert score.rmse < 2 * np.sqrt(2) / 0.05 * 2e-4
+
+
+@pytest.mark.parametrize("slower", [0.1, 0.2])
+def test_a_clock_that_turns_slower_has_its_slope_there_too(slower):
+    """By the median of all steps everything behind the turn lay in gaps: only what is fast was judged."""
+    time = np.concatenate([np.arange(0.0, 20.0, 0.01), np.arange(20.0, 60.0, slower)])
+    found = with_rates(Record(time, {"y": 3.0 * time}, {"y": "m"}, "r"), [Signal("y", "m")])
+    known = np.isfinite(found["y.rate"])
+    assert found["y.rate"][known] == pytest.approx(3.0) and known.sum() >= len(time) - 2 and known[2000:].all()

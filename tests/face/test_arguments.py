@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import warnings
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 import hydrotwin as ht
 from hydrotwin import cli
@@ -35,3 +37,20 @@ def test_notes_are_hydrotwins_words_and_no_warnings_of_numpy(monkeypatch):
     monkeypatch.setattr(cli, "app", warned)
     answer = hydrotwin("compare")
     assert answer.code == 0 and answer.err.strip() == "note the recording is short"
+
+
+@pytest.mark.parametrize("command", ["compare", "identify", "gap", "sensitivity"])
+@pytest.mark.parametrize(
+    ("given", "meant"),
+    [("motor.gain=100 rad/(s.V)", "It is a parameter: "), ("comand=2V", "Did you mean 'command'")],
+)
+def test_what_set_names_and_nothing_reads_is_refused(command, given, meant, tmp_path):
+    """The command told that it had set the parameter, and ran with its old value."""
+    record = Path("examples/cehA/recordings/validate_1.csv").resolve()
+    words = ("--model", "cehA", "--validate", record, "--out", tmp_path / "out")
+    if command != "compare":
+        words = ("cehA", record, *(("--out", tmp_path / "out.toml") if command != "sensitivity" else ()))
+    answer = hydrotwin(command, *words, "--set", given)
+    said = " ".join(answer.said.split())
+    assert answer.code == 2 and "is neither an input nor an output here, so that nothing would read it" in said
+    assert meant in said and not list(tmp_path.iterdir())

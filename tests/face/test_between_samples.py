@@ -105,3 +105,15 @@ def test_a_scenario_says_it_in_its_file(folder, tmp_path):
     assert [row["between_samples"]["force"]["interpolation"] for row in rows] == ["hold", "hold"]
     refused = hydrotwin("compare", scenario, "--out", tmp_path, "--interpolation", "force=linear")
     assert refused.code == 2 and "--interpolation would be ignored" in refused.said
+
+
+def test_compare_says_it_of_which_model_where_they_differ(folder, identified, tmp_path):
+    """A held force beside a linear one had stood on the page alone."""
+    files = {name: f"{name}={folder}/slide.py:slide@{folder}/{name}.toml" for name in ("linear", "held")}
+    models = [word for file in files.values() for word in ("--model", file)]
+    words = ("--validate", folder / "run_1.csv", "--mode", "free run", "--out", tmp_path / "report")
+    said = " ".join(hydrotwin("compare", *models, *words).said.split())
+    assert "held: input force is held between samples (chosen by you)" in said
+    assert "linear: input force is linear between samples (chosen by the recordings" in said
+    alone = " ".join(hydrotwin("compare", *models[:2], *words).said.split())
+    assert "linear: input" not in alone and "input force is linear between samples" in alone

@@ -14,7 +14,7 @@ import pytest
 
 import hydrotwin as ht
 from hydrotwin.comparison import PhysicalContender, Wanted, acceptance, compare, replay
-from hydrotwin.models.language.credibility import StaleEvidenceWarning
+from hydrotwin.models.language.credibility import Evidence, StaleEvidenceWarning
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from tests.face.command_line import hydrotwin
 
@@ -351,3 +351,12 @@ def test_a_record_without_a_comparison_cannot_be_made_again(file):
     assert answer.code == 2 and "no comparison is in its record" in answer.said
     answer = hydrotwin("check", file, "--replay", "--recordings", file.parent / "nowhere")
     assert answer.code == 2 and "no such folder" in answer.said
+
+
+def test_criteria_that_are_not_named_in_a_record_are_counted():
+    """Of four that held it named three, as if these were all."""
+    rows = tuple({"text": f"y.rmse < {k} m", "passed": True, "margin": 3.5} for k in range(1, 6))
+    told = Evidence("compare", "2026-11-29", "", {}, criteria=rows).told
+    assert (
+        told.partition("PASS, held: ")[2] == "; ".join(f"“y.rmse < {k} m” (+350 %)" for k in (1, 2, 3)) + " and 2 more"
+    )

@@ -123,6 +123,9 @@ def test_a_recording_with_a_hole_is_run_in_parts_and_says_so(recordings, tmp_pat
     answer = hydrotwin("simulate", "cehA", "--input", tmp_path / "holed.csv", "--out", tmp_path / "run.csv", "--json")
     told = json.loads(answer.out)
     assert any(n.startswith("holed has a hole (1.99") and "2 parts" in n for n in told["notes"])
+    assert [start["record"] for start in told["starts"]] == ["holed (part 2)"]
+    both = hydrotwin("simulate", "cehA", "--input", tmp_path / "holed.csv", "--initial-states", "auto", "--json")
+    assert [s["record"] for s in json.loads(both.out)["starts"]] == ["holed (part 1)", "holed (part 2)"]
     run = ht.read_record(tmp_path / "run.csv")
     assert len(run) == keep.sum()
     plain = json.loads(hydrotwin("simulate", "cehA", "--input", recordings / "validate_1.csv", "--json").out)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import casadi as ca
 import numpy as np
 
 from hydrotwin.learned.block_file import Certificate, LearnedBlock, assemble
@@ -74,4 +77,18 @@ def untrained_block(seed: int = 0, hidden: int = 4, outputs=(ANGLE, SPEED), outp
         certificate=Certificate(1e-15, 1e-12, 100, "itself"),
         description="random weights",
         provenance={"kind": "network", "trained_on": [{"name": "none", "sha256": "0" * 64}], "seed": seed},
+    )
+
+
+def with_deviation(block):
+    """The block with a constant standard deviation beside its output."""
+    x, u, p = (ca.MX.sym(n, len(v)) for n, v in zip("xup", (block.states, block.inputs, block.parameters), strict=True))
+    y = ca.MX.sym("y", 2)
+    following, answered = block.step(x, u, p)
+    deviation = dataclasses.replace(block.outputs[0], name="arm_angle.sd")
+    return dataclasses.replace(
+        block,
+        outputs=(block.outputs[0], deviation),
+        step=ca.Function("step", [x, u, p], [following, ca.vertcat(answered, 0.1)], ["x", "u", "p"], ["x_next", "y"]),
+        start=ca.Function("start", [u, y, p], [block.start(u, y[0], p)], ["u", "y", "p"], ["x"]),
     )

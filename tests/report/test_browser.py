@@ -163,16 +163,45 @@ def test_no_script_error_and_no_request_leaves_the_page(opened):
     assert [url for url in urls if not url.startswith(("file:", "data:", "blob:"))] == []
 
 
-def test_long_names_do_not_make_a_narrow_screen_scroll_sideways(browser, tmp_path):  # last: it leaves the page
+PAPER = 688  # CSS pixels of a line on A4 between its margins
+CUT_OFF = f"""
+const [low, high] = [0, {PAPER} + 1];
+return Array.from(document.querySelectorAll("table")).filter(
+  table => {{ const box = table.getBoundingClientRect(); return box.left < low || box.right > high; }}
+).map(table => table.dataset.table);
+"""
+
+
+@pytest.fixture(scope="module")
+def long_names(tmp_path_factory):
+    """A page of models and recordings with long names."""
     long = "EHA_rig3_load250kg_stroke120mm_oil45degC_2026-11-28_run07_second_shift"
     records = [recording(k, duration=1.0, name=f"{long}_{k}") for k in (1, 2)]
     found = compare([Toy(f"{long}_model"), Toy(f"{long}_old", gain=130.0)], records, repeats=0, modes=("free run",))
     accepted = acceptance(found, Wanted((f"{long}_1: arm_angle.rmse < 900 deg",)))
+    return write_report(found, tmp_path_factory.mktemp("long"), accepted=accepted)["html"].as_uri()
+
+
+def test_long_names_do_not_make_a_narrow_screen_scroll_sideways(browser, long_names):  # last: it leaves the page
     metrics = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": True}
     browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
     try:
-        browser.get(write_report(found, tmp_path, accepted=accepted)["html"].as_uri())
+        browser.get(long_names)
         wait_until(browser, f"{DRAWN} > 0 || document.querySelectorAll('.thumb').length > 0")
         assert browser.execute_script("return document.documentElement.scrollWidth") <= 390
     finally:
+        browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+
+
+def test_long_names_push_no_numbers_off_the_paper(browser, long_names):
+    """Tables were as wide as the longest name, and what stood behind it was not printed."""
+    metrics = {"width": PAPER, "height": 1000, "deviceScaleFactor": 1, "mobile": False}
+    browser.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    try:
+        browser.get(long_names)
+        browser.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+        assert browser.execute_script(CUT_OFF) == []
+    finally:
+        browser.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
         browser.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})

@@ -30,7 +30,7 @@ from hydrotwin.report import (
     texts,
 )
 from hydrotwin.report.comparison_figures import error_range
-from hydrotwin.report.figure import unpacked
+from hydrotwin.report.figure import band, unpacked
 from hydrotwin.report.format import number_texts
 from hydrotwin.report.heat_map import heat_map
 
@@ -114,6 +114,39 @@ def test_a_slow_sensor_among_fast_ones_is_a_line_and_one_that_failed_for_a_while
     assert np.isfinite(v[t < 0.39]).all() and np.isfinite(v[t > 0.61]).all()
     never = line(time, np.full(1001, np.nan), "never", "#0072B2", points=points)
     assert np.isnan(unpacked(never["y"])).all()
+
+
+@pytest.mark.parametrize("points", [2000, 100])
+def test_a_sensor_that_turns_slower_is_one_line_and_a_pause_ends_it(points):
+    """By the median of all its steps a line had ended at each of the slower samples."""
+    time = np.concatenate([np.arange(0.0, 10.0, 0.01), np.arange(10.0, 40.0, 0.1)])
+    fine = np.arange(0.0, 40.0, 0.01)
+    turned = np.where((fine < 10.0) | (np.arange(4000) % 10 == 0), fine, np.nan)
+    for x, y in ((time, time), (fine, turned)):
+        v = unpacked(line(x, y, "y", "#0072B2", points=points, recorded=True)["y"])
+        assert np.isfinite(v).all() and len(v) > points / 3
+    paused = np.where(time > 5.0, time + 30.0, time)
+    t, v = (unpacked(line(paused, time, "y", "#0072B2", points=points, recorded=True)[k]) for k in "xy")
+    assert np.isnan(v).sum() == 1 and 5.0 < t[np.isnan(v)][0] < 35.01
+    assert np.isfinite(unpacked(line(paused, time, "y", "#0072B2", points=points)["y"])).all()
+
+
+@pytest.mark.parametrize("points", [2000, 100])
+def test_a_band_ends_at_a_pause_and_keeps_the_peaks_of_both_sides(points):
+    """It was filled over the pause, and its sides took every so-manieth sample, along another curve than the line's."""
+    time = np.arange(0.0, 10.0, 0.005)
+    wave = np.sin(2 * np.pi * 40.0 * time)
+    paused = np.where(time > 5.0, time + 30.0, time)
+    sides = [np.where(time < 1.0, np.nan, wave + w) for w in (-0.5, 0.5)]
+    trace = band(paused, sides, "m", "#0072B2", row=1, points=points, hidden=False)
+    x, y = unpacked(trace["x"]), unpacked(trace["y"])
+    areas = np.split(x, np.flatnonzero(np.isnan(x)) + 1)
+    assert trace["fill"] == "toself" and [len(a) > 1 for a in areas] == [True, True, False]
+    assert [(np.nanmin(a), np.nanmax(a)) for a in areas[:2]] == [
+        (pytest.approx(1.0), pytest.approx(5.0)),
+        (pytest.approx(35.005), pytest.approx(39.995)),
+    ]
+    assert (np.nanmin(y), np.nanmax(y)) == pytest.approx((-1.5, 1.5), abs=0.06) and len(x) <= 2 * points + 4
 
 
 def test_a_line_carries_its_numbers_as_32_bit_floats():

@@ -9,7 +9,7 @@ import pytest
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
 from hydrotwin.records import Record
-from hydrotwin.simulation import Block, lower, predict_one_step, simulate
+from hydrotwin.simulation import Block, lower, predict_one_step, simulate, simulate_many
 from tests.simulation.flat_cehA import flat_cehA
 from tests.simulation.small_models import lag
 
@@ -159,3 +159,13 @@ def test_a_block_faster_than_the_recording_predicts_one_step_no_better_than_its_
     by_block = predict_one_step(lower(model, 1e-3), record)["arm_angle"]
     np.testing.assert_allclose(by_block, by_model, rtol=0, atol=1e-9)
     assert np.std(by_block - angle) > 0.9e-4  # the noise of the sample that was not yet taken
+
+
+@pytest.mark.parametrize("run", [simulate, predict_one_step])
+@pytest.mark.parametrize("asked", [{"step": 0.5}, {"method": "implicit"}])
+def test_a_block_refuses_a_step_and_a_method(run, asked):
+    """They were taken without a word, and changed nothing."""
+    with pytest.raises(DeclarationError, match=r"lag steps every 0\.01 s, .* Drop them"):
+        run(lower(lag(), 0.01), input_record(), **asked)
+    with pytest.raises(DeclarationError, match="Drop them"):
+        simulate_many(lower(lag(), 0.01), [{}], input_record(), **asked)

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hydrotwin.identification.evidence import recordings_of
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.errors import SolveError
+from hydrotwin.models.language.flat import IDENTIFIED, RECORDINGS
 from hydrotwin.models.language.model import Model
 
 from ..diagnosis.experiment import next_experiment
@@ -147,10 +149,10 @@ def _with_fit(model: Model, concluded: Concluded) -> Model:
     """The model with fitted values and their sigmas."""
     settings = {}
     for p in concluded.fit.parameters:
-        settings[p.name] = {"value": float(p.value), "unit": p.unit, "source": "identified", "free": True}
+        settings[p.name] = {"value": float(p.value), "unit": p.unit, "source": IDENTIFIED, "free": True}
         if np.isfinite(p.sigma):
             settings[p.name]["sigma"] = float(p.sigma)
-    return model.with_settings(settings, {"recordings": dict(concluded.fit.provenance)})
+    return model.with_settings(settings, {RECORDINGS: recordings_of(concluded.fit)})
 
 
 # -- what judges -------------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Reading, all_unbroken, require
 
 from ..loading import load, origin
-from .comparing_many import AUTO, Runs, notes, print_matrix, run, write
+from .comparing_many import AUTO, Runs, notes, print_matrix, run, tell_between_of, write
 from .exporting import credibility_told, equations_told
 from .recording_evidence import recorded_as
 from .recordings import reads, told_in
@@ -177,6 +177,7 @@ def compare(
     matrix = run(described, loaded, output, runs)
     fmus = {spec: thing for spec, thing in loaded.items() if hasattr(thing, "constants_read")}
     read = [f"{spec}: {s}" for spec, thing in fmus.items() for s in thing.constants_read(described.reading.constants)]
+    tell_between_of(matrix.base.entrants)
     for word in dict.fromkeys([*read, *notes(matrix)]):
         mark(err, "note", word)
     accepted = matrix.accepted if described.variants else matrix.runs[0].accepted

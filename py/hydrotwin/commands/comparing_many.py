@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.records.between import sentences
 
 from .recordings import tell_read
 from .shared import err, mark, out, progress_bar, table
@@ -99,6 +100,21 @@ def write(matrix, output: Path, several: bool) -> dict[str, Path]:
         return write_matrix(matrix, output)
     only = matrix.runs[0]
     return write_report(only.comparison, output, accepted=only.accepted)
+
+
+def tell_between_of(entrants) -> None:
+    """What inputs do between samples, with the models where these do not all take them alike."""
+    from hydrotwin.comparison.criteria import some_of
+
+    told: dict[str, list[str]] = {}
+    for one in entrants:
+        for sentence in sentences(one.inputs):
+            told.setdefault(sentence, []).append(one.name)
+    for sentence, names in told.items():
+        alike = all(
+            sentence in sentences([s]) for e in entrants for s in e.inputs if sentence.startswith(f"input {s.name} ")
+        )
+        err.print(sentence if alike else f"{some_of(names)}: {sentence}", style="dim")
 
 
 def notes(matrix) -> list[str]:

@@ -15,7 +15,7 @@ from hydrotwin.records import Reading, Record, require
 
 from ..loading import is_fmu, origin, surroundable
 from .listing import catalogue_rows, fitting_rows, print_catalogue, print_fitting
-from .recordings import read_all, reads, tell_ignored
+from .recordings import check_set, read_all, reads, tell_columns
 from .shared import (
     InterpolationOption,
     JsonOption,
@@ -120,6 +120,7 @@ def gap(
     check_effort(effort)
     thing = surroundable(model) if is_fmu(model) else physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
+    check_set(reading, thing.flat)
     train, judged = read_all(records, reading), read_all(validate, reading)
     check_recordings(thing, train, judged)
     memory = Memory(output / KEPT)
@@ -203,7 +204,7 @@ def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in flat.outputs if s.name in record)], thing.name)
     require_unseen(train, judged)
-    tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
+    tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name)
 
 
 def print_discovery(found, folder: Path) -> None:

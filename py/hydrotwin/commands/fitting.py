@@ -17,7 +17,7 @@ from hydrotwin.records import Reading, Record, require
 from hydrotwin.records.between import between
 
 from ..loading import origin
-from .recordings import read_all, reads, require_columns, tell_ignored
+from .recordings import check_set, read_all, reads, require_columns, tell_columns
 from .shared import (
     InterpolationOption,
     JsonOption,
@@ -89,13 +89,14 @@ def identify(
         check_folder(report)
     thing = physical(model, "identify")
     flat = thing.flat
+    check_set(reading, flat)
     errors = settings_from(noise, "--noise", [wanted(s, difference=True) for s in flat.outputs])
     limits = bounds_from(bounds, [wanted(p) for p in flat.parameters])
     train, judged = read_all(records, reading), read_all(validate, reading)
     fitted = [s for s in flat.outputs if not fit_outputs or s.name in fit_outputs]
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in fitted if s.name in record)], thing.name)
-    tell_ignored([*train, *judged], {s.name for s in (*flat.inputs, *flat.outputs)}, thing.name)
+    tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name)
     with progress_bar() as bar:
         row = bar.add_task("identify", total=None)
 

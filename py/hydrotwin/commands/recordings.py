@@ -13,7 +13,10 @@ from typing import Annotated, get_type_hints
 import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
+from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Reading, Record, read_record, reading_of, require_once, turned_back
+from hydrotwin.records.reading import check_constants
+from hydrotwin.records.sizes import far_from_usual
 
 from .shared import err, mark
 
@@ -129,8 +132,18 @@ def constants_among(
     )
 
 
-def tell_ignored(records: Sequence[Record], used: set[str], model: str) -> None:
-    """Columns that the model does not know are named once, those that could not be used too."""
+def check_set(reading: Reading | None, flat) -> None:
+    """What --set says is of a signal of the model. Raises DeclarationError where nothing would read it."""
+    signals, parameters = {s.name for s in (*flat.inputs, *flat.outputs)}, {p.name for p in flat.parameters}
+    check_constants(reading or Reading(), signals, parameters, "its value stands in the model or its file.")
+
+
+def tell_columns(records: Sequence[Record], signals: Sequence[Signal], model: str) -> None:
+    """Columns that the model does not know are named once, those that could not be used too, and those that are far
+    larger than it expects."""
+    for doubt in far_from_usual(records, signals):
+        mark(err, "note", doubt)
+    used = {s.name for s in signals}
     here = {name for r in records for name in (*r.signals, *r.refused)}
     ignored = sorted(here - used)
     if ignored:

@@ -10,7 +10,7 @@ import typer
 from hydrotwin.models.language.quantities import wanted
 from hydrotwin.records import Reading
 
-from .recordings import read_all, reads, tell_ignored
+from .recordings import check_set, read_all, reads, tell_columns
 from .shared import (
     InterpolationOption,
     JsonOption,
@@ -102,6 +102,7 @@ def sensitivity(
     if report:
         check_file(report, ".html") if report.suffix else check_folder(report)
     thing = physical(model, "sensitivity")
+    check_set(reading, thing.flat)
     limits = bounds_from(given, [wanted(p) for p in thing.flat.parameters], "--interval")
     between = interpolation_from(interpolation)
     errors = settings_from(noise, "--noise", [wanted(s, difference=True) for s in thing.flat.outputs])
@@ -109,7 +110,7 @@ def sensitivity(
     Sampling(samples, of)  # what is misspelt is told before anything runs
     profiled(thing.flat, [i.name for i in asked], profile_of)
     read = read_all(records, reading)
-    tell_ignored(read, {s.name for s in (*thing.flat.inputs, *thing.flat.outputs)}, thing.name)
+    tell_columns(read, (*thing.flat.inputs, *thing.flat.outputs), thing.name)
     with progress_bar() as bar:
         row = bar.add_task("sensitivity", total=None)
 

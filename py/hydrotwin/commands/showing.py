@@ -19,7 +19,7 @@ from hydrotwin.records import WRITTEN, Reading, as_needed, cuts, joined, unbroke
 from hydrotwin.records.between import between, settled
 
 from ..loading import load
-from .recordings import constants_among, read_all, reads, tell_ignored
+from .recordings import constants_among, read_all, reads, tell_columns
 from .shared import (
     InitialStatesOption,
     InterpolationOption,
@@ -76,7 +76,7 @@ def simulate(
     reading: Reading | None = None,
 ) -> None:
     """Run a model on the inputs of a recording and write its outputs."""
-    from hydrotwin.comparison import FREE_RUN, Trajectory, as_contender, domain_shares, errors_of
+    from hydrotwin.comparison import FREE_RUN, Trajectory, as_contender, domain_shares
     from hydrotwin.simulation import Block, InaccurateWarning, simulate
 
     if output:
@@ -113,8 +113,7 @@ def simulate(
             runs.append(simulate(thing, part, parameters=settings, start=given, step=step, method=method))
     accuracy = max((r.accuracy for r in runs if getattr(r, "accuracy", None)), key=lambda a: a.error, default=None)
     record, result, begun = joined(parts), joined(runs), [one for one in begun if one]
-    known = {s.name for s in (*contender.inputs, *contender.outputs)}
-    tell_ignored([record], known, contender.name)
+    tell_columns([record], (*contender.inputs, *contender.outputs), contender.name)
     tell_between(contender.inputs)
     starts = [*cuts(parts), *map(str, begun)]
     for note in [*(f"{contender.name}: {note}" for note in notes), *starts]:
@@ -123,17 +122,7 @@ def simulate(
     beyond = [d.extrapolates for d in domain_shares([contender], [record], (), [run]) if d.extrapolates]
     for sentence in beyond:
         mark(err, "careful:", sentence)
-    rows = []
-    for signal in contender.outputs:
-        values = result[signal.name]
-        given = values[np.isfinite(values)]
-        if lost := len(values) - len(given):
-            mark(err, "note", f"{signal.name}: the model gives no number in {lost} of {len(values)} samples.")
-        row = [signal.name, signal.unit, *([float(given.min()), float(given.max())] if len(given) else ["-", "-"])]
-        measured = signal.name in record and np.isfinite(record[signal.name]).any()
-        comparable = measured and compatible(record.units[signal.name], signal.unit)
-        row.append(float(errors_of(record[signal.name], values).rmse) if comparable else "-")
-        rows.append(row)
+    rows = [_row_of(signal, record, result[signal.name]) for signal in contender.outputs]
     if output:
         output.parent.mkdir(parents=True, exist_ok=True)
         write_record(result, output)
@@ -143,7 +132,7 @@ def simulate(
         answer = {"model": contender.name, "inputs": between(contender.inputs), "outputs": outputs}
         told = [*notes, *starts, *beyond]
         answer |= {"notes": told} if told else {}
-        answer |= {"start": asdict(begun[0].estimate)} if begun else {}
+        answer |= {"starts": [asdict(one.estimate) for one in begun]} if begun else {}
         print_json(answer | ({"accuracy": accuracy.as_data()} if accuracy else {}))
         return
     table(f"{contender.name} on {record.name}", ["output", "unit", "minimum", "maximum", "RMSE"], rows)
@@ -151,6 +140,20 @@ def simulate(
         mark(out, "note" if accuracy.reached else "warning", str(accuracy))
     if output:
         out.print(f"written: {output}")
+
+
+def _row_of(signal, record, values: np.ndarray) -> list:
+    """Name, unit, smallest, largest and RMSE of a simulated output; NaN for what there is not."""
+    from hydrotwin.comparison import errors_of
+
+    given, rmse = values[np.isfinite(values)], np.nan
+    if lost := len(values) - len(given):
+        mark(err, "note", f"{signal.name}: the model gives no number in {lost} of {len(values)} samples.")
+    known = np.isfinite(record[signal.name]) if signal.name in record else np.zeros(len(values), dtype=bool)
+    if known.any() and np.isfinite(values[known]).all() and compatible(record.units[signal.name], signal.unit):
+        rmse = errors_of(record[signal.name], values).rmse
+    extent = [float(given.min()), float(given.max())] if len(given) else [np.nan, np.nan]
+    return [signal.name, signal.unit, *extent, rmse]
 
 
 def _started(thing, record, initial_states: str, settings: Mapping[str, float]):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.fits.job import factor
-from hydrotwin.discovery.fits.whole import trajectories
+from hydrotwin.discovery.fits.whole import step, trajectories
 from tests.discovery.slides import begun, records
 
 SOME = ("coulomb_friction", "null_bias")
@@ -25,13 +25,33 @@ def friction(search):
     return search.table.entry([next(c for c in search.table.candidates if c.id == "coulomb_friction")])
 
 
-def test_looks_begin_where_the_user_put_the_base_and_go_on_where_shorter_windows_ended(search):
-    entry = friction(search)
+def test_looks_begin_where_the_shortest_windows_led_the_base_and_go_on_where_shorter_windows_ended(search):
+    entry, led = friction(search), search.table.entry().look.shortest
     first = search.jobs.next(entry, 1)
-    assert first.stages == (0, 1) and all("mass.mass" not in start for start in first.starts)
+    assert first.stages == (0, 1) and all(start["mass.mass"] == led["mass.mass"] for start in first.starts)
     search._advance([entry], 1)
     then = search.jobs.next(entry, 1)
     assert then.starts == (entry.look.values,) and then.stages == (1, 2)
+
+
+SEEN = [((0.5, 0.1), 0.1), ((1.01, 0.1), 1.01), ((3.0, 0.1), 0.1), ((3.0, 4.0), 3.0), ((0, 0.01), 0.01), ((0, 0.3), 0)]
+
+
+@pytest.mark.parametrize(("promised", "again"), SEEN)
+def test_what_does_anything_is_looked_at_from_the_users_start_too(search, monkeypatch, promised, again):
+    """The look that is kept: of two that explain all that from the user's start, else that which leaves less."""
+    entry, looks = friction(search), {}
+
+    def run(jobs, function=None):
+        found = [search.run(step, [job], "")[0] for job in jobs]
+        looks.update({id(look): promised[len(looks)] for look in found})
+        return found
+
+    monkeypatch.setattr(search, "_ran", run)
+    monkeypatch.setattr(search, "_settle", lambda known: None)
+    monkeypatch.setattr(search.table, "promise", lambda e, most=None: looks[id(e.look)] if e.look else 1.0)
+    search._advance([entry], 1)
+    assert looks[id(entry.look)] == again
 
 
 def test_another_frequency_is_where_structures_begin_beside_the_users(search):

@@ -39,8 +39,9 @@ class Search:
     first : how many lengths of windows a first look goes through; 0: whole recordings, or a part of them.
     pause : called with the search between its batches of jobs. surprises : structures that explain all in short
     windows, whose starts are free, and not in longer runs. least : nats that the best structure left from where the
-    base was fitted, too. stood, grown : structures that were fitted as they stood,
-    and with what promises most beside them. part : the search of the beginnings of long recordings, until it is done.
+    base was fitted, too. stood, grown, twice : structures that were fitted as they stood, and with what promises most
+    beside them, and those that were looked at from both starts. part : the search of the beginnings of long
+    recordings, until it is done.
     """
 
     table: Table
@@ -55,6 +56,7 @@ class Search:
     least: float = np.inf
     stood: set = field(default_factory=set)
     grown: set = field(default_factory=set)
+    twice: set = field(default_factory=set)
     part: Search | None = None
 
     def __post_init__(self) -> None:
@@ -133,6 +135,8 @@ class Search:
             self._looked(entries)
             if not self.first:
                 self._climb(entries)
+            elif size == 1 and not table.explained():
+                self._look_again([e for e in entries if e.open and e.look], self.first)
             seen += entries
             if self.table.explained():
                 break
@@ -292,16 +296,23 @@ class Search:
         known = [e for e in entries if e.open and self.table.usable(e)]
         new = [e for e in known if not e.look and e.members and self.table.question.lengths]
         self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
-        self._look_again([e for e in new if not e.look or self.table.promise(e) > 1 + SAME], first)
+        self._look_again([e for e in new if abs(self.table.promise(e) - 1) > SAME or not e.look], first)
         self._settle(known)
 
-    def _look_again(self, worse: Sequence[Entry], first: int) -> None:
-        """Look at structures that look worse than the base they contain from where the user put them, too."""
-        for e, found in zip(worse, self._ran([self.jobs.from_its_start(e, first) for e in worse]), strict=True):
-            before, promise = e.look, self.table.promise(e)
+    def _look_again(self, entries: Sequence[Entry], first: int) -> None:
+        """Look at structures in windows from where the user put them, too: a bent base may hide what they lack.
+
+        What does nothing beside the base waits until nothing else explains all. Of two minima that do that one counts
+        which is near to what is known.
+        """
+        entries = [e for e in entries if e.key not in self.twice]
+        self.twice.update(e.key for e in entries)
+        jobs = [self.jobs.from_its_start(e, first) for e in entries]
+        for e, found in zip(entries, self._ran(jobs), strict=True):
+            before, enough = e.look, max(self.table.promise(e), SAME)
             if isinstance(found, Look):
                 e.look, e.failed = found, ""
-                e.look = before if before and self.table.promise(e) > promise else found
+                e.look = before if before and self.table.promise(e) > enough else found
 
     def _settle(self, known: Sequence[Entry]) -> None:
         """Fit again what may have come to rest beside its minimum, and ask what that says of the base."""
@@ -339,6 +350,7 @@ class Search:
             (look,) = self._ran([self.jobs.through_windows_of(best)])
             base.look = look if isinstance(look, Look) else base.look
             self.first = telling(table)
+        self.twice.clear()
         table.look_anew()
         raise Freed
 

@@ -82,6 +82,8 @@ def _fate(table: Table, entry: Entry, c: Candidate, named: Candidate | None, mem
             "not fitted",
             "to first order it explains less than half of what the best explains, which first order foresaw",
         )
+    if not entry.fitted and entry.asked and entry.early:
+        return "not fitted", "in the beginnings of the recordings, it leaves more of the gap than what was fitted"
     if not entry.fitted and entry.asked:
         return "not fitted", "a few steps from where the best ended, it leaves more of the gap than what was fitted"
     if not entry.fitted:

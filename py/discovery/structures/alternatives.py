@@ -134,7 +134,7 @@ class Alternatives:
             if left < AHEAD:
                 found.append(entry)
             else:
-                entry.beside, entry.foreseen = left, True
+                entry.put_aside(left, foreseen=True)
         return found
 
     def _bent(self, best: Entry, rest: Entry) -> tuple[Question, Look | str]:
@@ -158,7 +158,7 @@ class Alternatives:
                 if share < AHEAD:
                     found[entry] = Ahead(entry, look, share)
                 else:
-                    entry.beside, entry.foreseen = share, False
+                    entry.put_aside(share)
         return found
 
     def _fit_likely(self, seen: Sequence[Ahead]) -> None:
@@ -170,7 +170,7 @@ class Alternatives:
             if not any(one.entry.fitted and self.table.explained([one.entry]) for one in together):
                 break
         for one in seen:
-            one.entry.beside, one.entry.foreseen = one.share, False
+            one.entry.put_aside(one.share)
 
     def _gap(self, best: Entry, rest: Entry, well: float) -> tuple[Question, Look | str]:
         """The shortest beginnings of recordings in which the rest leaves so many nats, and that.

@@ -58,4 +58,4 @@ def take_over(search: Search, part: Search) -> None:
         if not (known.asked or known.failed):
             continue
         entry = search.table.entry(known.members)
-        entry.failed, entry.beside, entry.foreseen = known.failed, known.beside, known.foreseen
+        entry.failed, entry.beside, entry.foreseen, entry.early = known.failed, known.beside, known.foreseen, True

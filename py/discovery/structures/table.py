@@ -24,7 +24,8 @@ class Entry:
 
     beside : after a few steps from where the best structure ended, in the place of one of its effects, the share of
     what the others of its effects leave alone after as many; nan where nobody asked. foreseen : whether that was asked
-    to first order alone, without a run: of what the best is foreseen to explain.
+    to first order alone, without a run: of what the best is foreseen to explain. early : in the beginnings of long
+    recordings alone.
     """
 
     members: tuple[Candidate, ...]
@@ -33,6 +34,11 @@ class Entry:
     failed: str = ""
     beside: float = np.nan
     foreseen: bool = False
+    early: bool = False
+
+    def put_aside(self, share: float, foreseen: bool = False) -> None:
+        """Say that it was asked, in all recordings, and what share it leaves."""
+        self.beside, self.foreseen, self.early = share, foreseen, False
 
     @property
     def key(self) -> Key:

@@ -5,8 +5,10 @@ import pytest
 import hydrotwin.discovery.structures.extent as extents
 from hydrotwin.discovery.answer import so_far
 from hydrotwin.discovery.answer.standing import standing
+from hydrotwin.discovery.structures.beginning import likely, take_over
 from hydrotwin.discovery.structures.ends import OutOfTime
-from tests.discovery.slides import NOISE, begun, found, records
+from tests.discovery.slides import NOISE, begun, found, record, records
+from tests.discovery.test_beside import filled
 
 SOME = ("coulomb_friction", "null_bias", "dead_time", "sensor_bias", "sensor_scale", "command_saturation")
 ALL, PART = 600, 300  # samples of a recording, and of its beginning
@@ -57,9 +59,43 @@ def out_of_time(*_):
 
 def test_what_explains_the_beginnings_alone_gets_no_name():
     """Friction everywhere, and from the middle on a push that no effect holds."""
-    _, said, seen = gone_through(records(3, dry=30.0, leaning=80.0), ("coulomb_friction", "dead_time"))
+    search, said, seen = gone_through(records(3, dry=30.0, leaning=80.0), ("coulomb_friction", "dead_time"))
     assert said.verdict == "unknown"
     assert seen.count(ALL) > 4, "it is searched for in all"
+    assert not any(e.early for e in search.table.entries.values()), "what was put aside there is asked again"
+
+
+def test_what_may_be_the_answer_stays_in_question_until_it_was_fitted_to_all():
+    part = filled(base=30.0, coulomb_friction=1.0, stribeck_friction=1.0, null_bias=1.0, dead_time=9.0)
+    whole = filled(base=30.0, coulomb_friction=1.0)
+    known = likely(part.table)
+    assert {e.members[0].id for e in known} == {"coulomb_friction", "null_bias"}
+    take_over(whole, part, known)
+    by = {c.id: whole.table.entry([c]) for c in whole.table.candidates}
+    assert not by["null_bias"].asked and by["stribeck_friction"].early, "no less, for more parameters"
+    assert by["dead_time"].asked and by["dead_time"].early and 0.01 < by["dead_time"].beside < 0.6
+
+
+def test_a_structure_that_diverges_in_all_recordings_is_tried_again_where_none_explains_them(monkeypatch):
+    search = begun(records(3, dry=30.0), ("coulomb_friction", "null_bias"))
+    search.identify()
+    run = search.run
+
+    def diverging(function, jobs, stage):
+        all_of_them = jobs and len(jobs[0].question.fit[0].time) == ALL
+        return ["it diverges"] * len(jobs) if all_of_them else run(function, jobs, stage)
+
+    monkeypatch.setattr(search, "run", diverging)
+    monkeypatch.setattr(search.base, "lead", lambda: 0)
+    search._begin()
+    (friction,) = (e for e in search.table.entries.values() if e.key and "coulomb" in e.key[0])
+    assert friction.open and not friction.failed
+
+
+def test_recordings_of_a_few_seconds_each_and_of_unequal_length_are_searched():
+    runs = [record(k, dry=30.0, seconds=s) for k, s in enumerate((2.0, 2.0, 3.0, 30.0, 2.0))]
+    _, said, _ = gone_through(runs, ("coulomb_friction", "null_bias"))
+    assert [c.id for c in said.order] == ["coulomb_friction"] and said.verdict == "named"
 
 
 def test_nothing_is_missing_where_nothing_is():

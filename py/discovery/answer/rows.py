@@ -17,6 +17,7 @@ from .standing import Standing, closed
 
 SHOWN = 12  # candidates of a step in the answer that were not fitted
 UNSEEN = 1e3  # times the most that is usual: what is known no better shows in nothing but rounding
+NO_BETTER = "leaves more than what is told, or no less for more parameters"
 
 
 def rows_of(
@@ -83,12 +84,12 @@ def _fate(table: Table, entry: Entry, c: Candidate, named: Candidate | None, mem
             "to first order it explains less than half of what the best explains, which first order foresaw",
         )
     if not entry.fitted and entry.asked and entry.early:
-        return "not fitted", "in the beginnings of the recordings, it leaves more of the gap than what was fitted"
+        return "not fitted", f"in the beginnings of the recordings it {NO_BETTER}"
     if not entry.fitted and entry.asked:
         return "not fitted", "a few steps from where the best ended, it leaves more of the gap than what was fitted"
     if not entry.fitted:
         return "not fitted", "in short windows it promises less than what was fitted" if entry.look else "not looked at"
-    return "rejected", "leaves more than what is told, or no less for more parameters"
+    return "rejected", NO_BETTER
 
 
 def testable(entry: Entry, c: Candidate) -> bool:

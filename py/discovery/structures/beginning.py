@@ -10,6 +10,8 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from ..evidence.posterior import NOTHING
 from ..fits.job import Job
 from .extent import ENOUGH, FAIR, brief
@@ -37,25 +39,27 @@ def shows(part: Table, whole: Table) -> bool:
     return part.score(part.entry()) > max(ENOUGH, fair)
 
 
-def from_there(search: Search, part: Entry) -> Job:
+def against_all(search: Search, part: Entry) -> Job:
     """The fit of a structure to all recordings from where that to their beginnings ended."""
     known = part.fitted
     return search.jobs.of(search.table.entry(part.members), [known.values], states=known.states, size=known.rmse)
 
 
-def told(part: Table, most: int) -> list[Entry]:
-    """The structures of beginnings that may be the answer, so many at most, the most probable first."""
-    keys = [k for k in part.posterior().class_() if k != NOTHING]
+def likely(part: Table) -> list[Entry]:
+    """The structures that may be the answer in the beginnings, the most probable first; the best where none is."""
     best = [e for e in part.fitted if e.members]
-    found = [part.entries[k] for k in keys] or sorted(best, key=part.score)[:1]
-    return found[:most]
+    return [part.entries[k] for k in part.posterior().class_() if k != NOTHING] or sorted(best, key=part.score)[:1]
 
 
-def take_over(search: Search, part: Search) -> None:
-    """Put into the table of a search what the search of the beginnings has asked: those are no longer in question."""
+def take_over(search: Search, part: Search, likely: list[Entry]) -> None:
+    """Put into the table of a search what the search of the beginnings has asked: those are no longer in question.
+
+    What may be the answer stays in question until it was fitted to all recordings.
+    """
     search.alternatives.settled |= part.alternatives.settled
     for known in part.table.entries.values():
-        if not (known.asked or known.failed):
+        if known in likely or not known.members:
             continue
-        entry = search.table.entry(known.members)
-        entry.failed, entry.beside, entry.foreseen, entry.early = known.failed, known.beside, known.foreseen, True
+        entry, share = search.table.entry(known.members), part.table.share(known) if known.fitted else np.nan
+        entry.failed = entry.failed or known.failed
+        entry.beside, entry.foreseen, entry.early = known.beside if known.asked else share, known.foreseen, True

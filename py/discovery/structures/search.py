@@ -16,7 +16,7 @@ from ..fits.job import Fitted, Job, Look, Question, factor
 from ..fits.whole import as_look, led, step
 from .alternatives import Alternatives, batches
 from .base import LEFT, SAME, BaseFit
-from .beginning import beginning_of, from_there, shows, take_over, told
+from .beginning import against_all, beginning_of, likely, shows, take_over
 from .ends import Freed, OutOfTime, Surprised
 from .extent import enough_of, telling
 from .foreseen import beside, larger, singles
@@ -115,10 +115,14 @@ class Search:
             if surprise := part.go():
                 self.surprises.append(surprise)
                 raise Surprised
-            known = told(part.table, self.effort.together if part.complete else FIRST)
-            take_over(self, part)
-            entries = [self.table.entry(e.members) for e in known]
-            self._take(entries, self.run(step, [from_there(self, e) for e in known], "search"))
+            known = likely(part.table)
+            soon = known if part.complete else known[:FIRST]
+            entries = [self.table.entry(e.members) for e in soon]
+            self._take(entries, self.run(step, [against_all(self, e) for e in soon], "search"))
+            if self.table.explained():
+                take_over(self, part, known)
+            for entry in entries:  # where none explains all, every one is asked again, from its own start, too
+                entry.failed = entry.failed if self.table.explained() else ""
             self.part = None
             if not part.complete:
                 raise OutOfTime

@@ -49,7 +49,7 @@ def fairly(
     """
     given_up: list[Change] = []
     search = begin(asked)
-    moving = Change() if search.table.explained() else _questioned_of_starts(search.part or search)
+    moving = Change() if search.table.explained() else _questioned_of_starts(search)
     if moving.free_starts and not moving.inputs:  # before any effect is named: nobody measured where it began
         given_up.append(moving)
         asked = again(asked.model, "free")
@@ -195,8 +195,18 @@ def _questioned(search: Search, entry: Entry, asked: Callable[[Job], Change] | N
 
 
 def _questioned_of_starts(search: Search) -> Change:
-    """Whether what the base leaves comes from starts that nobody measured; of long recordings the beginnings say so."""
-    return _questioned(search, search.table.entry(), question_starts)
+    """Whether what the base leaves comes from starts that nobody measured.
+
+    A wrong start shows in the beginnings of long recordings, which cost less; but over so short a time a start hides
+    other things, too, so all of them have to say the same.
+    """
+    found = Change()
+    for each in (search.part, search):
+        if each:
+            found = _questioned(each, each.table.entry(), question_starts)
+            if not found.free_starts:
+                break
+    return found
 
 
 def question_starts(job: Job) -> Change:

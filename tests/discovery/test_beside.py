@@ -166,9 +166,9 @@ def test_no_more_windows_are_looked_through_than_show_the_gap():
     assert large.table.visible(large.first - 1) > DECIDING.visible
 
 
-@pytest.mark.parametrize("long", [False, True])
-def test_a_start_that_nobody_measured_is_asked_before_any_effect(long, monkeypatch):
-    """Of long recordings the beginnings are asked, which cost less and say as much of starts."""
+@pytest.mark.parametrize(("early", "all_of_them"), [(None, True), (True, True), (True, False), (False, True)])
+def test_a_start_that_nobody_measured_is_asked_before_any_effect(early, all_of_them, monkeypatch):
+    """Of long recordings the beginnings are asked first, and all of them where those blame the start."""
     done, questioned = [], []
 
     def asked(model, initial_states):
@@ -179,22 +179,33 @@ def test_a_start_that_nobody_measured_is_asked_before_any_effect(long, monkeypat
     def begin(one):
         done.append(("begin", one.initial_states))
         table = SimpleNamespace(entry=lambda: None, explained=lambda: one.initial_states == "free")
-        part = SimpleNamespace(table=table) if long else None
+        part = SimpleNamespace(table=table, free=early) if early is not None else None
         return SimpleNamespace(
-            go=lambda: done.append(("go", one.initial_states)), complete=True, until=np.inf, table=table, part=part
+            go=lambda: done.append(("go", one.initial_states)),
+            complete=True,
+            until=np.inf,
+            table=table,
+            part=part,
+            free=all_of_them,
+            take_looks=lambda before: None,
         )
 
     def question(search, entry, asked=None):
         questioned.append(search)
-        return Change(free_starts=True)
+        return Change(free_starts=search.free)
 
     monkeypatch.setattr(assumed, "standing", lambda table: SimpleNamespace(kept=SimpleNamespace(members=())))
     monkeypatch.setattr(assumed, "_in_doubt", lambda search, said: False)
     monkeypatch.setattr(assumed, "_questioned", question)
     monkeypatch.setattr(assumed, "_stray_samples_of_judges", lambda search, data: Strays())
     *_, given_up = assumed.fairly(asked(object(), "auto"), asked, begin)
-    assert [hasattr(search, "part") for search in questioned] == [not long]
-    assert done == [("begin", "auto"), ("begin", "free"), ("go", "free")] and len(given_up) == 1
+    assert [search.free for search in questioned] == [each for each in (early, all_of_them) if each is not None][
+        : 1 if early is False else 2
+    ]
+    if early is False or not all_of_them:
+        assert done == [("begin", "auto"), ("go", "auto")] and not given_up
+    else:
+        assert done == [("begin", "auto"), ("begin", "free"), ("go", "free")] and len(given_up) == 1
 
 
 def test_when_the_time_is_over_before_any_fit_the_most_promising_are_fitted(monkeypatch):

@@ -83,8 +83,9 @@ def _fate(table: Table, entry: Entry, c: Candidate, named: Candidate | None, mem
             "not fitted",
             "to first order it explains less than half of what the best explains, which first order foresaw",
         )
-    if not entry.fitted and entry.asked and entry.early:
-        return "not fitted", f"in the beginnings of the recordings it {NO_BETTER}"
+    if not (entry.fitted or entry.look or np.isnan(entry.early)):
+        why = NO_BETTER if entry.asked else "promises less than what was fitted"
+        return "not fitted", f"in the beginnings of the recordings it {why}"
     if not entry.fitted and entry.asked:
         return "not fitted", "a few steps from where the best ended, it leaves more of the gap than what was fitted"
     if not entry.fitted:
@@ -106,7 +107,7 @@ def _most(c: Candidate, name: str) -> float:
 
 def _share(table: Table, entry: Entry) -> float:
     if not (entry.look or entry.asked):
-        return np.nan
+        return float(np.clip(1 - entry.early, 0.0, 1.0))
     return float(np.clip(1 - (entry.beside if entry.asked else table.promise(entry)), 0.0, 1.0))
 
 

@@ -10,8 +10,6 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from ..evidence.posterior import NOTHING
 from ..fits.job import Job
 from .extent import ENOUGH, FAIR, brief
@@ -60,6 +58,8 @@ def take_over(search: Search, part: Search, likely: list[Entry]) -> None:
     for known in part.table.entries.values():
         if known in likely or not known.members:
             continue
-        entry, share = search.table.entry(known.members), part.table.share(known) if known.fitted else np.nan
+        entry = search.table.entry(known.members)
         entry.failed = entry.failed or known.failed
-        entry.beside, entry.foreseen, entry.early = known.beside if known.asked else share, known.foreseen, True
+        if known.look or known.fitted:
+            entry.early = part.table.share(known) if known.fitted else part.table.promise(known)
+        entry.beside, entry.foreseen = known.beside if known.asked or not known.fitted else entry.early, known.foreseen

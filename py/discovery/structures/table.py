@@ -24,8 +24,8 @@ class Entry:
 
     beside : after a few steps from where the best structure ended, in the place of one of its effects, the share of
     what the others of its effects leave alone after as many; nan where nobody asked. foreseen : whether that was asked
-    to first order alone, without a run: of what the best is foreseen to explain. early : in the beginnings of long
-    recordings alone.
+    to first order alone, without a run: of what the best is foreseen to explain. early : what
+    share of the gap it left, or promised to leave, in the beginnings of long recordings, where it was asked alone.
     """
 
     members: tuple[Candidate, ...]
@@ -34,11 +34,11 @@ class Entry:
     failed: str = ""
     beside: float = np.nan
     foreseen: bool = False
-    early: bool = False
+    early: float = np.nan
 
     def put_aside(self, share: float, foreseen: bool = False) -> None:
         """Say that it was asked, in all recordings, and what share it leaves."""
-        self.beside, self.foreseen, self.early = share, foreseen, False
+        self.beside, self.foreseen, self.early = share, foreseen, np.nan
 
     @property
     def key(self) -> Key:
@@ -52,7 +52,7 @@ class Entry:
     @property
     def seen(self) -> bool:
         """Whether anything is known of it."""
-        return bool(self.look or self.fitted or self.failed or self.asked)
+        return bool(self.look or self.fitted or self.failed or self.asked or not np.isnan(self.early))
 
     @property
     def asked(self) -> bool:

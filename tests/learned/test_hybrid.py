@@ -27,7 +27,7 @@ from tests import rig
 from tests.learned.toy_machine import toy_record
 
 UNITS = {"command": "V", "arm_angle": "rad", "piston_force": "N"}
-QUICK = {"starts": 1, "hidden": 6, "effort": 0.5, "period": 0.01, "budget": 3600.0}
+QUICK = {"starts": 1, "hidden": 6, "effort": 0.25, "period": 0.01, "budget": 3600.0}
 BRIEF = QUICK | {"hidden": 0, "effort": 0.1}
 
 

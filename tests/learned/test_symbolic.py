@@ -29,7 +29,7 @@ def rmse_deg(block, record):
 
 @pytest.fixture(scope="module")
 def recordings():
-    return [toy_record(s) for s in (1, 2, 3)]
+    return [toy_record(s, duration=10.0) for s in (1, 2, 3)]
 
 
 @pytest.fixture(scope="module")

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+
+import numpy as np
 
 from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
 from ..evidence.gaps import gap_closed
-from ..evidence.posterior import NOTHING, Key, Posterior
+from ..evidence.posterior import NOTHING, Key, Posterior, likeliest
 from ..structures.table import Entry, Table
 
 UNSEEN = "not looked at"  # the key of effects that nobody looked at, among probabilities
@@ -23,7 +25,8 @@ class Standing:
     even where the best explains all: others may explain as much. best : the most probable structure with an effect,
     beside something else where that is more probable; None without any. order : its effects, the one that explains most
     alone first. class_ : structures that are told together. part : whether the best, which does not explain all, is a
-    part of what is missing; not before every single effect was looked at, for another may be the whole of it.
+    part of what is missing; not before every single effect was looked at, for another may be the whole of it, nor
+    where others may as well be that part. parts : probabilities of structures by key if one of them is.
     """
 
     table: Table
@@ -33,6 +36,7 @@ class Standing:
     order: tuple[Candidate, ...]
     class_: tuple[Key, ...]
     part: bool = False
+    parts: Mapping[Key, float] = field(default_factory=dict)
 
     @property
     def kept(self) -> Entry:
@@ -41,16 +45,14 @@ class Standing:
 
     def probability(self, label: str) -> float:
         """That this effect is missing: of all structures that hold it, and beside something else where it is a part."""
-        beside = self.part and label in self.best.key
-        alone = sum(p for key, p in self.posterior.structures.items() if label in key)
-        return alone + DECIDING.partly * self.posterior.else_ * beside
+        known = (self.posterior.structures, self.parts)
+        alone, beside = (sum(p for k, p in some.items() if label in k) for some in known)
+        return alone + DECIDING.partly * self.posterior.else_ * beside * self.part
 
     def members(self, effect: Candidate) -> list[Candidate]:
         """What may stand in the place of a named effect, itself first."""
         rest = set(self.best.key) - {effect.label}
         found = [effect]
-        if self.part:
-            return found
         for key in self.class_:
             others = [c for c in self.table.entries[key].members if c.label not in rest]
             if rest <= set(key) and len(others) == 1 and others[0].label != effect.label:
@@ -73,19 +75,34 @@ def standing(table: Table) -> Standing:
     effects: Mapping[Key, float] = {k: p for k, p in posterior.structures.items() if k != NOTHING}
     best = table.entries[max(effects, key=lambda k: (effects[k], -scores[k]))] if effects else None
     nothing = posterior.structures.get(NOTHING, 0.0)
-    class_, part = tuple(k for k in posterior.class_() if k != NOTHING), False
+    class_, part, parts = tuple(k for k in posterior.class_() if k != NOTHING), False, {}
     if nothing >= max(posterior.else_, sum(effects.values())):
         verdict = "none"
     elif max(posterior.else_, posterior.unseen) > sum(effects.values()):
         verdict = "unknown"
         if best is not None and not table.explained([best]):
             best = table.entries[max(effects, key=posterior.beside.__getitem__)]
-            part = table.seen_all() and closed(table, best) >= DECIDING.part
+            parts = _beside_something_else(table, posterior, best)
+            asked = sum(parts.values()) > 0.5  # what was fitted is likelier than what promises as much and was not
+            part = table.seen_all() and asked and closed(table, best) >= DECIDING.part
+            class_ = tuple(likeliest(parts))
     else:
         several = {tuple(sorted(c.id for c in table.entries[k].members)) for k in class_}
         verdict = "class" if len(several) > 1 else "named"
     order = tuple(sorted(best.members, key=lambda c: _alone(table, c))) if best else ()
-    return Standing(table, posterior, verdict, best, order, class_, part)
+    return Standing(table, posterior, verdict, best, order, class_, part, parts)
+
+
+def _beside_something_else(table: Table, posterior: Posterior, best: Entry) -> dict[Key, float]:
+    """Probabilities of fitted structures, beside something else that is missing.
+
+    What promises to leave as little as the best leaves, and was not fitted, is as likely.
+    """
+    logs, level = posterior.beside, table.share(best)
+    open_ = [e for e in table.entries.values() if e.open and e.look and 0 < len(e.key) <= len(best.key) and not e.asked]
+    rivals = sum(table.promise(e) <= level for e in open_)
+    weights = {k: float(np.exp(value - logs[best.key])) for k, value in logs.items()}
+    return {k: w / (sum(weights.values()) + rivals) for k, w in weights.items()}
 
 
 def closed(table: Table, entry: Entry) -> float:

@@ -60,13 +60,18 @@ class Posterior:
 
     def class_(self) -> list[Key]:
         """The smallest set that holds most of the probability of what is known, of structures worth telling."""
-        known, held, members = sum(self.structures.values()), 0.0, []
-        for key in self.ranked():
-            if held >= DECIDING.in_class * known or (members and self.structures[key] < DECIDING.told * known):
-                break
-            members.append(key)
-            held += self.structures[key]
-        return members
+        return likeliest(self.structures)
+
+
+def likeliest(probabilities: Mapping[Key, float]) -> list[Key]:
+    """The smallest set that holds most of the sum of probabilities, of structures worth telling, likeliest first."""
+    known, held, members = sum(probabilities.values()), 0.0, []
+    for key in sorted(probabilities, key=probabilities.__getitem__, reverse=True):
+        if held >= DECIDING.in_class * known or (members and probabilities[key] < DECIDING.told * known):
+            break
+        members.append(key)
+        held += probabilities[key]
+    return members
 
 
 def temperature(base: float) -> float:

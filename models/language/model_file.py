@@ -148,12 +148,14 @@ def write_model_file(
     flat : a FlatModel, or a Model.
     additions : the effects of the model; by default those of a Model. Parts that no catalogue names belong to the code
         of ``model`` and are not written.
+    provenance : where the values come from; by default what the model says itself.
     evidence : of these values, for the block [credibility].
     """
     path = Path(path)
     if additions is None:
         additions = getattr(flat, "additions", ())
     flat = getattr(flat, "flat", flat)
+    provenance = flat.provenance if provenance is None else provenance
     document = tomlkit.document()
     document.add(tomlkit.comment("hydrotwin model file: data only; values in SI units"))
     document["format"] = FORMAT

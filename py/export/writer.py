@@ -11,7 +11,7 @@ import uuid
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from hydrotwin.models.language.credibility import Credibility
+from hydrotwin.models.language.credibility import Credibility, with_made_from
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.records import Record, write_record
 from hydrotwin.simulation.block import Block
@@ -103,7 +103,8 @@ def export_fmu(
     experiments : recordings with what the model gives for them, as `reference_experiment` makes them; they and a
         ``reference`` that is small go along as FMI-LS-REF says, for whoever wants to run them again. Their inputs and
         starts are copied into the FMU.
-    credibility : of its model file; goes along as the FMU's record. It names recordings and holds no measurements.
+    credibility : of its model file; goes along as the FMU's record. It names recordings and holds no measurements. What
+        the model says itself of which recordings its values follow goes along, too.
 
     The same arguments give the same bytes. Returns the path. Raises DeclarationError for what cannot be exported,
     SolveError when no compiler works.
@@ -146,6 +147,7 @@ def export_fmu(
     if reference is not None:
         files[REFERENCE_FILE] = _reference_text(reference, variables, lowered)
     agreement = OTHER_SOLVER if kind == "me" else AGREEMENT
+    credibility = with_made_from(credibility, lowered.provenance)
     return _with_references(path, files, Carried(reference, experiments, credibility, agreement))
 
 

@@ -19,6 +19,7 @@ from hydrotwin.models.language.credibility import StaleEvidenceWarning
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
 from hydrotwin.models.language.parameter_file import read_toml
+from hydrotwin.models.language.provenance import lasting
 from hydrotwin.models.language.user_code import place, place_of_code, running
 
 PHYSICAL = ("cehA", "cehA:third_order", "spool_valve", "spool_valve:quasi_static")
@@ -200,10 +201,8 @@ def _vouched(file: ModelFile) -> tuple[dict, dict]:
     """Settings and provenance; without the intervals of a fit where its values were edited: they are about others."""
     settings, provenance = dict(file.settings), dict(file.provenance)
     if file.stale:
-        from hydrotwin.identification.bands import SPREAD
-
         settings = {n: {k: v for k, v in s.items() if k != "sigma"} for n, s in settings.items()}
-        provenance.pop(SPREAD, None)
+        provenance = lasting(provenance, "values, effects or inputs of its file edited")
     return settings, provenance
 
 

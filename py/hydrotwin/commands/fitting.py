@@ -12,6 +12,7 @@ import typer
 
 from hydrotwin import __version__
 from hydrotwin.models.language.model_file import write_model_file
+from hydrotwin.models.language.provenance import of_earlier_fits
 from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
 from hydrotwin.records import Reading, Record, require
 from hydrotwin.records.between import between
@@ -146,7 +147,10 @@ def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:
         "made_by": f"hydrotwin {__version__}",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         **fit.flat.provenance,
-        "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
+        "recordings": [
+            *({"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles),
+            *of_earlier_fits(fit.flat.provenance),
+        ],
     }
 
 

@@ -42,6 +42,10 @@ class HybridBlock(Block):
     substep: float = 0.0
     started_by: tuple[str, ...] = ()
 
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> HybridBlock:
+        """The same hybrid whose inputs do something else between samples, in its model, too: its files hold that."""
+        return replace(super().with_inputs(changes), model=self.model.with_inputs(changes))
+
     @property
     def corrected(self) -> tuple[str, ...]:
         """Names of the outputs that the residual corrects."""

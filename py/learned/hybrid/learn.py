@@ -192,7 +192,7 @@ def _period(model, records: Sequence[Record], chosen: Sequence[Signal]) -> float
 
 
 def _lacking(physical, record: Record, chosen: Sequence[Signal], period: float) -> Record:
-    """Inputs, simulated outputs and residuals at the block's samples; the provenance stays that of the recording."""
+    """Inputs, simulated outputs and residuals at the block's samples; what else the recording says stays."""
     even = on_period(record, period, physical.inputs)
     run = simulate(physical, even)
     signals = {s.name: even[s.name] for s in physical.inputs}
@@ -201,7 +201,7 @@ def _lacking(physical, record: Record, chosen: Sequence[Signal], period: float) 
         signals[simulated_signal(s).name], units[simulated_signal(s).name] = run[s.name], s.unit
     for s in chosen:
         signals[residual_signal(s).name], units[residual_signal(s).name] = even[s.name] - run[s.name], s.unit
-    return Record(even.time, signals, units, record.name, source=record.source, digest=record.digest)
+    return replace(even, signals=signals, units=units, refused={})
 
 
 def _moving(flat, fit: Sequence[Record], features: Sequence[str] | None) -> list[Signal]:

@@ -21,6 +21,7 @@ from .errors import DeclarationError, nearest
 from .provenance import IDENTIFIED, OF_NO_FIT, lasting
 from .quantities import in_si, wanted
 
+SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
 SAME = 1e-12  # relative: the same number, read in one unit or another
 
 

@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hydrotwin.learned.bands import CONFORMAL, OWN, known_bands
+from hydrotwin.models.language.flat import SD
 from hydrotwin.models.language.provenance import SPREAD, made_from
 
-SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
 SENSITIVITIES = "sensitivities"
 LEAST_INSIDE = 0.90  # of a 95 % band: what it should hold of a recording; less may be a draw of what is not known ...
 CHANCE = 1e-4  # ... unless that has a smaller chance: right ones had 0.026 at least where so little lay inside

@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrotwin.models.language.provenance import made_from, told_since
 from hydrotwin.records import all_unbroken, cuts, turned_back
+from hydrotwin.records.between import shown_otherwise
 from hydrotwin.records.sizes import far_from_usual
 
 from .criteria import some_of
@@ -33,8 +34,13 @@ def remarks(comparison: Comparison) -> list[str]:
 
 
 def _sizes(comparison: Comparison) -> list[str]:
-    """Columns of most likely another unit."""
-    return far_from_usual(comparison.records, [s for e in comparison.entrants for s in (*e.inputs, *e.outputs)])
+    """Columns of most likely another unit, and inputs that do something else between their samples."""
+    found = far_from_usual(comparison.records, [s for e in comparison.entrants for s in (*e.inputs, *e.outputs)])
+    taken: dict[str, list[str]] = {}
+    for entrant in comparison.entrants:
+        for doubt in shown_otherwise(entrant.inputs, comparison.records):
+            taken.setdefault(doubt, []).append(entrant.name)
+    return found + [f"{some_of(names)}: {doubt}" for doubt, names in taken.items()]
 
 
 def _cut(comparison: Comparison) -> list[str]:

@@ -32,7 +32,7 @@ from .fmu_settings import (
     unrecorded,
 )
 from .foreign import DIFFERENCE, Description, describe_fmu, kind_of
-from .inside import fitted_recordings
+from .inside import made_from_inside
 
 TIME_LIMIT = 120.0
 MEAN = "the FMU takes no slopes, and each of its steps sees the mean"
@@ -395,5 +395,5 @@ def _provenance(path: Path, description: Description, outputs: Sequence[str]) ->
     if late := late_outputs(md, outputs, [v.name for v in inputs_of(md)]):
         facts[LATE] = ", ".join(late)
     facts |= {LEFT_OUT: ", ".join(description.left_out), REDEFINED: "; ".join(description.redefined)}
-    facts |= {"units taken as 1": ", ".join(description.unknown_units), "trained_on": fitted_recordings(path)}
+    facts |= {"units taken as 1": ", ".join(description.unknown_units)} | made_from_inside(path, outputs)
     return {k: v for k, v in facts.items() if v}

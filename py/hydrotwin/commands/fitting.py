@@ -97,7 +97,7 @@ def identify(
     fitted = [s for s in flat.outputs if not fit_outputs or s.name in fit_outputs]
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in fitted if s.name in record)], thing.name)
-    tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name)
+    tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name, interpolation_from(interpolation))
     with progress_bar() as bar:
         row = bar.add_task("identify", total=None)
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.provenance import made_from_rows
 from hydrotwin.records import Record, noise_floor
 from hydrotwin.simulation import prepare, simulate
 
@@ -92,7 +93,7 @@ def learn_hybrid(
     options = {"period": period, "lags": lags, "commands": [s.name for s in flat.inputs], **training}
     residual, told = _chosen(task, fit, judge, options, [on_period(r, period, flat.inputs) for r in select or records])
     training_runs = [on_period(r, period, flat.inputs) for r in records]
-    told |= {"physics_trained_on": _fitted_on(model)}  # its file does not say it: whoever judges the hybrid asks
+    told["physics_trained_on"] = made_from_rows(flat.provenance)  # whoever judges the hybrid asks
     if residual is None:
         names = {"trained_on": named(records), **told}
         hybrid = alone(model, period, **task.frame, domain=training_box(records, flat.inputs))
@@ -164,12 +165,6 @@ def _method(flat, record: Record) -> dict:
     u, p = record.array([s.name for s in flat.inputs]), flat.parameter_vector()
     settled.run(record.time, u, p, flat.start_given(())(u[0], p, []).full().ravel())
     return {"method": "implicit" if settled.method == "implicit" else "explicit", "substep": settled.step}
-
-
-def _fitted_on(model) -> list[dict]:
-    """The recordings that a model was identified on, as its provenance names them."""
-    rows = (getattr(model, "provenance", None) or {}).get("recordings", ())
-    return [{key: r[key] for key in ("name", "sha256")} for r in rows if r.get("role") == "train" and r.get("sha256")]
 
 
 def _period(model, records: Sequence[Record], chosen: Sequence[Signal]) -> float:

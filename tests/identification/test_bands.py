@@ -139,7 +139,12 @@ def test_a_model_of_which_something_is_another_still_follows_its_recordings_and_
     fitted_model = model.with_settings({"motor.gain": {"value": 110.0, "sigma": 1.0, "source": "identified"}})
     leaking = add_effect(known, "internal_leakage", values={"conductance": 1e-12})
     again = leaking.with_settings({}, fitted.provenance)
-    changed = (leaking, again.without(again.additions), known.with_parameters({"arm.mass": 41.0}), known.but(name="x"))
+    changed = (
+        leaking,
+        again.without(again.additions),
+        known.with_parameters({"arm.extra_mass": 41.0}),
+        known.but(name="x"),
+    )
     assert [SPREAD in m.provenance for m in changed] == [False, False, False, True]
     typed = fitted_model.with_parameters({"motor.gain": 90.0}).flat
     assert (typed.parameters[typed.index_of("motor.gain")].sigma, typed.provenance) == (None, {})

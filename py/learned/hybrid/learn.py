@@ -93,7 +93,7 @@ def learn_hybrid(
     options = {"period": period, "lags": lags, "commands": [s.name for s in flat.inputs], **training}
     residual, told = _chosen(task, fit, judge, options, [on_period(r, period, flat.inputs) for r in select or records])
     training_runs = [on_period(r, period, flat.inputs) for r in records]
-    told["physics_trained_on"] = made_from_rows(flat.provenance)  # whoever judges the hybrid asks
+    told["physics_trained_on"] = made_from_rows(getattr(model, "provenance", {}))  # whoever judges the hybrid asks
     if residual is None:
         names = {"trained_on": named(records), **told}
         hybrid = alone(model, period, **task.frame, domain=training_box(records, flat.inputs))

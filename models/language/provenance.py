@@ -58,8 +58,8 @@ def told_since(provenance: Mapping) -> str:
     if not (lost := provenance.get(SINCE)):
         return ""
     return (
-        f"it is another than was fitted or trained ({'; '.join(lost)}): what was found then of how sure it is does not "
-        "hold, so it has no band"
+        "it has no band, for what its fit or training found of how sure it is belongs to another state of it "
+        f"({'; '.join(lost)})"
     )
 
 

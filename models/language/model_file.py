@@ -20,6 +20,7 @@ from .credibility import KEY, Credibility, Evidence, contents_digest, from_data
 from .errors import DataError, nearest
 from .flat import FlatModel, ParameterValue, Signal
 from .parameter_file import parameter_settings, read_toml
+from .provenance import EDITED, SINCE, lasting
 from .writing import toml_values, write_whole
 
 FORMAT = 1
@@ -216,8 +217,11 @@ def _without_intervals(text: str) -> str:
         waiting += [part for part in table.values() if isinstance(part, dict)]
         if "value" in table:
             table.pop("sigma", None)
-    if isinstance(document.get("provenance"), dict):
-        document["provenance"].pop("spread", None)
+    if isinstance(told := document.get("provenance"), dict):
+        left = lasting(told.unwrap(), EDITED)
+        for key in [key for key in told if key not in left]:
+            told.pop(key)
+        told.update({SINCE: left[SINCE]} if SINCE in left else {})
     return tomlkit.dumps(document)
 
 

@@ -17,10 +17,11 @@ EARLIER = {"fit": "earlier"}  # in a row, of a fit that found other values than 
 TRAIN = "train"  # the role of those that values follow
 SPREAD = "spread"  # how sure a fit is: `identification.bands.Spread`
 BAND, CARD = "band", "free_run"  # of a learned block: found in its training, and judged in `report_card`
+EDITED = "values, effects or inputs of its file edited"
 SINCE = "since the fit"  # what was changed since, in words, one by one
 MADE_FROM = ("trained_on", "selected_on", "physics_trained_on")  # rows with name and sha256
 JOINED = (SPREAD, BAND, CARD)  # what bands are made of
-OF_FIT = (*JOINED, "chi2_per_sample", "noise", "rmse", "accuracy", "findings", "verdict", "effects")
+OF_FIT = (*JOINED, "chi2_per_sample", "noise", "rmse", "accuracy", "findings", "verdict", "effects", "asked")
 OF_VALUES = (RECORDINGS, "made_by", "date")  # what a fit says of its values, whatever is around them
 
 
@@ -45,7 +46,7 @@ def refitted(before: Mapping, new: Mapping, stay: bool) -> dict:
     here = [(r.get("role"), r.get("sha256") or r.get("name")) for r in _rows(new, RECORDINGS)]
     rows = [r for r in _rows(before, RECORDINGS) if r.get("role") == TRAIN] if stay else []
     rows = [{**r, **EARLIER} for r in rows if (TRAIN, r.get("sha256") or r.get("name")) not in here]
-    return kept | new | {RECORDINGS: [*new.get(RECORDINGS, ()), *rows]}
+    return kept | new | ({RECORDINGS: [*new.get(RECORDINGS, ()), *rows]} if rows else {})
 
 
 def of_earlier_fits(provenance: Mapping) -> list[Mapping]:

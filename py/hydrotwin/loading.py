@@ -19,7 +19,7 @@ from hydrotwin.models.language.credibility import StaleEvidenceWarning
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
 from hydrotwin.models.language.parameter_file import read_toml
-from hydrotwin.models.language.provenance import lasting
+from hydrotwin.models.language.provenance import EDITED, lasting, refitted
 from hydrotwin.models.language.user_code import place, place_of_code, running
 
 PHYSICAL = ("cehA", "cehA:third_order", "spool_valve", "spool_valve:quasi_static")
@@ -187,6 +187,7 @@ def _with_file(model, file: ModelFile) -> Model:
         raise DeclarationError(f"{file.path}: only a physical model takes the values of a model file. Drop the '@'.")
     try:
         settings, provenance = _vouched(file)
+        provenance = refitted(model.provenance, provenance, stay=True)
         answer = with_effects(_as_it_is(model, file), file.effects).with_settings(settings, provenance)
         answer = answer.with_inputs(file.inputs) if file.inputs else answer
         _ = answer.flat
@@ -202,7 +203,7 @@ def _vouched(file: ModelFile) -> tuple[dict, dict]:
     settings, provenance = dict(file.settings), dict(file.provenance)
     if file.stale:
         settings = {n: {k: v for k, v in s.items() if k != "sigma"} for n, s in settings.items()}
-        provenance = lasting(provenance, "values, effects or inputs of its file edited")
+        provenance = lasting(provenance, EDITED)
     return settings, provenance
 
 

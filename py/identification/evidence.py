@@ -23,6 +23,7 @@ def provenance_of_fit(fit: Fit) -> dict:
         "rmse": fit.rmse,
         "accuracy": fit.accuracy.as_data() if fit.accuracy else {},
         "findings": [str(f) for f in fit.findings],
+        "asked": {key: value for key, value in fit.settings.items() if value is not None},
     }
 
 

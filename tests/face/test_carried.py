@@ -382,3 +382,13 @@ def test_an_effect_around_an_fmu_keeps_what_is_known_of_the_fmu():
         assert made_from(one.provenance) == made_from(one.flat.provenance) == {TRAINED}
         assert one.provenance["guid"] == around.fmu.provenance["guid"]
     assert moved.sought and "sensor_bias" in told_since(added.provenance)
+
+
+def test_a_file_of_effects_around_an_fmu_leaves_what_is_known_of_the_fmu():
+    """Where its values come from is what the file says; what is inside of it stays made from what it was made from."""
+    around = surrounded(fmu(slide()))
+    bias = next(c for c in ht.candidates(around, ["sensor_bias"], merged=False))
+    added = around.plus([bias.addition]).with_parameters({bias.free[0]: 0.1})
+    ht.write_model_file("around.toml", "m.fmu", added, {"made_by": "gap", "verdict": "named"})
+    told = load("around.toml").provenance
+    assert (made_from(told), told["made_by"], told["guid"]) == ({TRAINED}, "gap", around.provenance["guid"])

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import hydrotwin as ht
+from hydrotwin.commands.fitting import fit_provenance
 from hydrotwin.comparison import PhysicalContender, as_contender, compare
 from hydrotwin.comparison.band import bands_of
 from hydrotwin.comparison.loop import Loop, in_loop
@@ -278,6 +279,7 @@ def test_values_that_a_fit_holds_still_follow_the_recordings_of_the_one_before(f
     assert bands_of(as_contender(fit.flat))
     file = model_file(fit.flat)
     assert made_from(file.provenance) == made_from(fit.flat.provenance)
+    assert made_from(fit_provenance(fit, [train], [])) == made_from(fit.flat.provenance), "as the command writes it"
 
 
 def test_a_file_whose_values_are_edited_says_so_and_has_no_intervals():

@@ -26,7 +26,7 @@ from benchmarks.gap.severity import FIT, HELD_OUT, Unreachable, bed, steps_of
 from hydrotwin.comparison import FREE_RUN, PhysicalContender, compare
 from hydrotwin.comparison.band import bands_of
 from hydrotwin.identification import Fit, Spread, deviations, identify
-from hydrotwin.identification.bands import SPREAD
+from hydrotwin.models.language.provenance import SPREAD
 from hydrotwin.models.language.writing import write_whole
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate_many

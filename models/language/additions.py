@@ -48,6 +48,25 @@ class Addition:
     holds: tuple[str, ...] = ()
 
 
+def named(additions: Sequence[Addition], what: str) -> str:
+    """What was done to additions, in words: ``internal_leakage at pump.a-pump.b added``; "" without any."""
+    some = [f"{a.effect} at {a.site}" if a.effect else a.name or a.frees for a in additions]
+    return f"{', '.join(map(str, some))} {what}" if some else ""
+
+
+def outputs_without(additions: Sequence[Addition], elaboration: Elaboration, outputs: list[ca.SX]) -> list[ca.SX]:
+    """Output expressions with every added part at the values it is declared with, where it changes nothing.
+
+    A sensor whose bias is looked for measures its state nonetheless.
+    """
+    added = tuple(f"{a.name}." for a in additions if a.part is not None)
+    own = [q for q in elaboration.parameters if added and q.path.startswith(added)]
+    own = [q for q in own if not callable(q.declaration.value)]
+    if not own:
+        return outputs
+    return ca.substitute(outputs, [q.symbol for q in own], [ca.SX(q.declaration.value) for q in own])
+
+
 def wire(elaboration: Elaboration, additions: Sequence[Addition], taken: Sequence[str]) -> None:
     """Bind the parts of additions and tie them in; ``taken`` are names of the root component."""
     seen, ends = set(taken), {}

@@ -20,6 +20,7 @@ from importlib.metadata import PackageNotFoundError, version
 import tomlkit
 
 from .errors import DataError
+from .provenance import MADE_FROM, SINCE, made_from_rows
 from .writing import toml_values
 
 FORMAT = 1  # of the block; goes up where keys change their meaning or go
@@ -77,7 +78,9 @@ class Evidence:
         doubted = ", ".join(str(name) for name in _listed(self.facts.get("untrusted_bands")))
         doubt = f". Its bands cannot be trusted for {doubted}" if doubted else ""
         when = f" on {self.date[:10]}" if self.date else ""
-        return f"{self.by}{when} ({made}), {on or 'no recordings'}: {self._result()}{doubt}"
+        since = "; ".join(map(str, _listed(self.facts.get(SINCE))))
+        changed = f". Another since then: {since}" if since else ""
+        return f"{self.by}{when} ({made}), {on or 'no recordings'}: {self._result()}{doubt}{changed}"
 
     def _result(self) -> str:
         if self.criteria:
@@ -226,6 +229,20 @@ def _inline(value) -> str:
 
 def _digest(data: object) -> str:
     return hashlib.sha256(json.dumps(data, sort_keys=True, ensure_ascii=False).encode()).hexdigest()
+
+
+def with_made_from(known: Credibility | None, provenance: Mapping) -> Credibility | None:
+    """What vouches for a model, with the recordings that its values follow as its provenance says, where no evidence
+    names them: of values that were edited or set, or that no file holds."""
+    own = known or Credibility()
+    named = {r["name"] for one in own.evidence for r in one.recordings if r["role"] == FIT and not r["sha256"]}
+    rows = [r for r in made_from_rows(provenance) if (r["sha256"] or r["name"]) not in own.fitted_on | named]
+    if not rows:
+        return known
+    by = LEARN if any(provenance.get(key) for key in MADE_FROM) else IDENTIFY
+    facts = {SINCE: list(provenance[SINCE])} if provenance.get(SINCE) else {}
+    new = Evidence(by, "", "", versions(), tuple({**r, "role": FIT} for r in rows), facts=facts)
+    return Credibility((*own.evidence, new))
 
 
 def recording_rows(records: Sequence, role: str) -> list[dict]:

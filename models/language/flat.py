@@ -8,6 +8,7 @@ Everything is in SI. Methods (simulation, identification, export, ...) see a mod
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Real
@@ -17,11 +18,11 @@ import casadi as ca
 import numpy as np
 
 from .errors import DeclarationError, nearest
+from .provenance import IDENTIFIED, OF_NO_FIT, lasting
 from .quantities import in_si, wanted
 
-IDENTIFIED = "identified"  # how the source of a value begins that a fit found
-OF_NO_FIT = {"sigma": None, "source": ""}  # a value that is set
-RECORDINGS = "recordings"  # of a provenance: rows with name, role and sha256
+SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
+SAME = 1e-12  # relative: the same number, read in one unit or another
 
 
 @dataclass(frozen=True)
@@ -193,28 +194,30 @@ class FlatModel:
         return dataclasses.replace(self, inputs=changed(self.inputs, changes, self.name))
 
     def with_parameters(self, changes: Mapping[str, float]) -> FlatModel:
-        """The same model with other parameter values (SI), of which no fit says anything."""
-        values = self.parameter_vector(changes)
-        stay = any(p.source.startswith(IDENTIFIED) for p in self.parameters if p.name not in changes)
-        return dataclasses.replace(
-            self,
-            parameters=tuple(_with_value(p, float(v)) for p, v in zip(self.parameters, values, strict=True)),
-            provenance=lasting(self.provenance, stay) if changes else self.provenance,
+        """The same model with other parameter values (SI), of which no fit says anything; see `since_set`."""
+        values = dict(zip((p.name for p in self.parameters), self.parameter_vector(changes), strict=True))
+        moved = [p.name for p in self.parameters if not same_value(values[p.name], p.value)]
+        parameters = tuple(
+            dataclasses.replace(p, value=float(values[p.name]), **OF_NO_FIT) if p.name in moved else p
+            for p in self.parameters
         )
+        return dataclasses.replace(self, parameters=parameters, provenance=since_set(self, moved)) if moved else self
 
 
-def _with_value(p: ParameterValue, value: float) -> ParameterValue:
-    """The parameter with another value; its deviation and its source are of the one it had."""
-    return p if value == p.value else dataclasses.replace(p, value=value, **OF_NO_FIT)
+def same_value(one: float, other: float) -> bool:
+    """Whether two values of a parameter are one: set once more, a fitted one loses nothing of what is known of it."""
+    return math.isclose(one, other, rel_tol=SAME, abs_tol=0.0)
 
 
-def lasting(provenance: Mapping, stay: bool = True) -> dict:
-    """What a provenance still says of a model of which something is another: which recordings its values follow.
+def since_set(flat: FlatModel, moved: Sequence[str]) -> dict:
+    """The provenance of a model of which the parameters ``moved`` got other values."""
+    return lasting(flat.provenance, f"{', '.join(moved)} set", fitted_beside(flat, moved))
 
-    stay : whether values that a fit found are among them. What the fit left, and how sure it was, is of the model as it
-    was.
-    """
-    return {RECORDINGS: provenance[RECORDINGS]} if stay and RECORDINGS in provenance else {}
+
+def fitted_beside(flat: FlatModel, names: Iterable[str]) -> bool:
+    """Whether a fit found other values than those of ``names``, for all that the sources of values say."""
+    fitted = {p.name for p in flat.parameters if p.source.startswith(IDENTIFIED)}
+    return not fitted or not fitted <= set(names)
 
 
 def no_parameter(model: str, path: str, known: Iterable[str], hint: str = "") -> DeclarationError:

@@ -12,17 +12,28 @@ import casadi as ca
 import numpy as np
 
 from .acting import refuse_idle
-from .additions import Addition
+from .additions import Addition, named, outputs_without
 from .component import Component
 from .declarations import finite
 from .errors import DeclarationError, SolveError, TopologyError, nearest
-from .flat import OF_NO_FIT, FlatModel, ParameterValue, Signal, StateVariable, by_name, changed, lasting, no_parameter
+from .flat import (
+    FlatModel,
+    ParameterValue,
+    Signal,
+    StateVariable,
+    by_name,
+    changed,
+    no_parameter,
+    same_value,
+    since_set,
+)
 from .flattening import Solved, elaborate, solve
 from .initialisation import initialisation
 from .parameter_file import setting_in_si
+from .provenance import OF_NO_FIT, lasting
 from .quantities import Wanted, in_target, in_unit
 from .regularity import check_solvable, loops_of
-from .summary_html import SmallTable, summary_html
+from .summary_html import model_html
 
 _KEPT = ("root", "name", "step", "settings", "provenance", "inputs_changed")  # of a model with other parts
 _NUMBERS = ("value", "bounds", "sigma")  # of a setting, in its unit
@@ -81,14 +92,19 @@ class Model:
 
     # -- other models ------------------------------------------------------------------------------------------
     def with_settings(self, settings: Mapping, provenance: Mapping | None = None) -> Model:
-        """The same structure with further values, bounds, sigmas or sources, by path; by default what is `lasting`."""
-        merged = {k: dict(v) for k, v in self.settings.items()}
-        for path, change in self._in_si(settings).items():
+        """The same structure with further values, bounds, sigmas or sources, by path.
+
+        Another value has no deviation and no source but what is given with it, and by default its model no provenance
+        but what `since_set` leaves.
+        """
+        merged, new = {k: dict(v) for k, v in self.settings.items()}, self._in_si(settings)
+        moved = self._moved(new)
+        for path, change in new.items():
             if "unit" not in change and any(change.get(key) is not None for key in _NUMBERS):
                 merged.get(path, {}).pop("unit", None)  # of the numbers before, and it vouches for no others
-            merged.setdefault(path, {}).update(change)
-        stay = set(self.settings) - set(settings)
-        provenance = lasting(self.provenance, bool(stay)) if provenance is None else provenance
+            merged.setdefault(path, {}).update({**OF_NO_FIT, **change} if path in moved else change)
+        if provenance is None:
+            provenance = since_set(self.flat, moved) if moved else self.provenance
         other = Model(
             self.root, self.name, settings=merged, step=self.step, provenance=provenance, additions=self.additions,
             inputs=self.inputs_changed,
@@ -99,12 +115,19 @@ class Model:
             other.__dict__["_functions"] = self._functions
         return other
 
+    def _moved(self, changes: Mapping[str, Mapping]) -> list[str]:
+        """Paths that have another value in ``changes``, which are as `_in_si` gives them."""
+        own, entries = self.flat.parameters, {q.path: q for q in self._solved.elaboration.parameters}
+        known = {p.name: p.value for p in own}
+        known |= {p.name: p.value for p, _ in self.followers} if changes.keys() - known.keys() else {}
+        said = {n: self._numbers_of(entries[n], c) for n, c in changes.items() if n in entries and "value" in c}
+        return [n for n, c in said.items() if n not in known or not same_value(c["value"], known[n])]
+
     def with_parameters(self, values: Mapping[str, float], provenance: Mapping | None = None) -> Model:
         """The same model with other parameter values (SI)."""
         units = {p.path: p.unit for p in self._solved.elaboration.parameters}
-        return self.with_settings(
-            {k: {**OF_NO_FIT, "value": v, "unit": units[k]} if k in units else v for k, v in values.items()}, provenance
-        )
+        changes = {k: {"value": v, "unit": units[k]} if k in units else v for k, v in values.items()}
+        return self.with_settings(changes, provenance)
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> Model:
         """The same model whose inputs do something else between samples.
@@ -119,16 +142,16 @@ class Model:
         other.inputs_changed = {**before, **merged}
         return other
 
-    def _bare(self, changed: bool) -> Model:
-        """A copy without what is made of its parts; where these are changed, without what a fit of others said."""
+    def _bare(self, since: str) -> Model:
+        """A copy without what is made of its parts; since : what was changed of these, "" for nothing."""
         other = copy.copy(self)
         other.__dict__ = {k: self.__dict__[k] for k in _KEPT}
-        other.provenance = lasting(self.provenance) if changed else self.provenance
+        other.provenance = lasting(self.provenance, since) if since else self.provenance
         return other
 
     def but(self, name: str | None = None, **changes) -> Model:
         """A model whose root component has other parts or laws: ``model.but(cylinder=...)``."""
-        other = self._bare(bool(changes))
+        other = self._bare(f"{', '.join(changes)} exchanged" if changes else "")
         other.additions, other.sought = self.additions, self.sought
         other.root, other.name = self.root.but(**changes), name or self.name
         return other
@@ -139,7 +162,7 @@ class Model:
         sought : the additions are looked for; otherwise one that changes nothing is refused when `flat` is asked for.
         """
         added = tuple(additions)
-        other = self._bare(bool(added))
+        other = self._bare(named(added, "added"))
         other.additions, other.sought = (*self.additions, *added), True  # until what it frees or holds is independent
         freed = {a.frees: {"free": True} for a in other.additions if a.frees}
         wanted = {path for a in other.additions for path in a.holds}
@@ -156,7 +179,7 @@ class Model:
         parts = tuple(f"{a.name}." for a in gone if a.part is not None)
         held = {path for a in kept for path in (*a.holds, *([a.frees] if a.frees else []))}
         own = {path for a in gone for path in (*a.holds, *([a.frees] if a.frees else []))} - held
-        other = self._bare(bool(gone))
+        other = self._bare(named(gone, "taken out"))
         other.additions, other.sought = tuple(kept), self.sought
         other.settings = {p: s for p, s in self.settings.items() if p not in own and not p.startswith(parts)}
         return other
@@ -212,7 +235,7 @@ class Model:
         rates = [solved.of(e.derivatives[s.symbol.element_hash()][1]) for s in e.states]
         outputs = [solved.of(o.symbol) for o in e.outputs]
         self._refuse_mixed_delay(solved)
-        seen = self._outputs_without_additions(e, outputs)
+        seen = outputs_without(self.additions, e, outputs)
         measured = {
             s.path: next((o.path for o, y in zip(e.outputs, seen, strict=True) if ca.is_equal(y, s.symbol)), None)
             for s in e.states
@@ -226,17 +249,6 @@ class Model:
             {"cse": True},
         )
         return ode, initialisation(solved, ca.SX(u), ca.SX(p), rates), measured, independent
-
-    def _outputs_without_additions(self, e, outputs: list[ca.SX]) -> list[ca.SX]:
-        """Output expressions with every added part at the values it is declared with, where it changes nothing.
-
-        A sensor whose bias is looked for measures its state nonetheless.
-        """
-        added = tuple(f"{a.name}." for a in self.additions if a.part is not None)
-        own = [q for q in e.parameters if added and q.path.startswith(added) and not callable(q.declaration.value)]
-        if not own:
-            return outputs
-        return ca.substitute(outputs, [q.symbol for q in own], [ca.SX(q.declaration.value) for q in own])
 
     def _refuse_mixed_delay(self, solved: Solved) -> None:
         """An input may be used delayed or not delayed, not both."""
@@ -272,6 +284,7 @@ class Model:
             initialisation=start,
             step=self.step,
             loops=loops_of(solved),
+            provenance=self.provenance,
         )
         check_solvable(solved, flat)
         if self.additions and not self.sought:
@@ -321,9 +334,9 @@ class Model:
             written_in=d.written_in,
         )
 
-    def _numbers_of(self, entry) -> Mapping:
-        """What is set of a parameter, its numbers in SI."""
-        change, asked = dict(self.settings.get(entry.path, {})), self._asked(entry)
+    def _numbers_of(self, entry, change: Mapping | None = None) -> Mapping:
+        """What is set of a parameter, or is to be, its numbers in SI."""
+        change, asked = dict(self.settings.get(entry.path, {}) if change is None else change), self._asked(entry)
         unit = change.get("unit")
         for key in (key for key in _NUMBERS if change.get(key) is not None):
             if unit:
@@ -383,18 +396,4 @@ class Model:
         )
 
     def _repr_html_(self) -> str:
-        flat = self.flat
-        free = [p.name for p in flat.parameters if p.free]
-        signals = [(s.name, "input", s.unit, s.description) for s in flat.inputs]
-        signals += [(s.name, "output", s.unit, s.description) for s in flat.outputs]
-        first = sorted(flat.parameters, key=lambda p: not p.free)
-        values = [(p.name, p.value, p.unit, p.source) for p in first]
-        tables = [
-            SmallTable("", ("signal", "", "unit", "what it is"), signals),
-            SmallTable("Parameters, SI, free ones first", ("parameter", "value", "unit", "source"), values),
-        ]
-        facts = {"states": len(flat.states), "parameters": len(flat.parameters), "free": len(free)}
-        facts |= {"step [s]": self.step} | (
-            {"added": ", ".join(a.name for a in self.additions)} if self.additions else {}
-        )
-        return summary_html(f"Model {self.name}", "", facts, tables)
+        return model_html(self)

@@ -20,6 +20,7 @@ from .credibility import KEY, Credibility, Evidence, contents_digest, from_data
 from .errors import DataError, nearest
 from .flat import FlatModel, ParameterValue, Signal
 from .parameter_file import parameter_settings, read_toml
+from .provenance import EDITED, SINCE, lasting
 from .writing import toml_values, write_whole
 
 FORMAT = 1
@@ -148,12 +149,14 @@ def write_model_file(
     flat : a FlatModel, or a Model.
     additions : the effects of the model; by default those of a Model. Parts that no catalogue names belong to the code
         of ``model`` and are not written.
+    provenance : where the values come from; by default what the model says itself.
     evidence : of these values, for the block [credibility].
     """
     path = Path(path)
     if additions is None:
         additions = getattr(flat, "additions", ())
     flat = getattr(flat, "flat", flat)
+    provenance = flat.provenance if provenance is None else provenance
     document = tomlkit.document()
     document.add(tomlkit.comment("hydrotwin model file: data only; values in SI units"))
     document["format"] = FORMAT
@@ -214,8 +217,11 @@ def _without_intervals(text: str) -> str:
         waiting += [part for part in table.values() if isinstance(part, dict)]
         if "value" in table:
             table.pop("sigma", None)
-    if isinstance(document.get("provenance"), dict):
-        document["provenance"].pop("spread", None)
+    if isinstance(told := document.get("provenance"), dict):
+        left = lasting(told.unwrap(), EDITED)
+        for key in [key for key in told if key not in left]:
+            told.pop(key)
+        told.update({SINCE: left[SINCE]} if SINCE in left else {})
     return tomlkit.dumps(document)
 
 

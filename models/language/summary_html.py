@@ -10,6 +10,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 
+from .provenance import told_since
+
 ROWS, NOTES = 12, 12  # of one table; sentences below
 LONGEST, LONGEST_CELL = 400, 60  # characters of a sentence, of a cell
 _LEFT = "text-align:left"
@@ -40,6 +42,24 @@ def summary_html(
     parts += [f"<p>{_text(note, LONGEST)}</p>" for note in notes[:NOTES]]
     parts += [_more(len(notes) - NOTES)]
     return f"<div>{''.join(parts)}</div>"
+
+
+def model_html(model) -> str:
+    """Of a `Model`: its signals and its parameters."""
+    flat, added = model.flat, ", ".join(a.name for a in model.additions)
+    free = [p.name for p in flat.parameters if p.free]
+    signals = [(s.name, "input", s.unit, s.description) for s in flat.inputs]
+    signals += [(s.name, "output", s.unit, s.description) for s in flat.outputs]
+    first = sorted(flat.parameters, key=lambda p: not p.free)
+    values = [(p.name, p.value, p.unit, p.source) for p in first]
+    tables = [
+        SmallTable("", ("signal", "", "unit", "what it is"), signals),
+        SmallTable("Parameters, SI, free ones first", ("parameter", "value", "unit", "source"), values),
+    ]
+    facts = {"states": len(flat.states), "parameters": len(flat.parameters), "free": len(free), "step [s]": model.step}
+    since = told_since(flat.provenance)
+    notes = [f"{since}."] if since else []
+    return summary_html(f"Model {model.name}", "", facts | ({"added": added} if added else {}), tables, notes)
 
 
 def _table(one: SmallTable) -> str:

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.provenance import made_from
 
 from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
-from .band import made_from
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst

@@ -15,10 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hydrotwin.identification.bands import SPREAD
 from hydrotwin.learned.bands import CONFORMAL, OWN, known_bands
+from hydrotwin.models.language.flat import SD
+from hydrotwin.models.language.provenance import SPREAD, made_from
 
-SD = ".sd"  # behind the name of an output: the standard deviation that a block gives beside it
 SENSITIVITIES = "sensitivities"
 LEAST_INSIDE = 0.90  # of a 95 % band: what it should hold of a recording; less may be a draw of what is not known ...
 CHANCE = 1e-4  # ... unless that has a smaller chance: right ones had 0.026 at least where so little lay inside
@@ -96,24 +96,13 @@ def _held(band: Band, held: Sequence[Held]) -> Band:
     return replace(band, trusted=False, why=why)
 
 
-def made_from(provenance: Mapping) -> frozenset[str]:
-    """SHA-256 of the recordings that a model was fitted to, or a block trained on or chosen by, as far as its
-    provenance says it."""
-    rows = [r for r in provenance.get("recordings", ()) if isinstance(r, Mapping) and r.get("role") == "train"]
-    known = frozenset(r["sha256"] for r in rows if r.get("sha256"))
-    return known.union(*(_hashes(provenance, key) for key in ("trained_on", "selected_on", "physics_trained_on")))
-
-
-def _hashes(provenance: Mapping, key: str) -> frozenset[str]:
-    return frozenset(r["sha256"] for r in provenance.get(key, ()) if isinstance(r, Mapping) and r.get("sha256"))
-
-
 def _known(contender) -> dict[str, Band]:
     told = getattr(contender, "provenance", None) or {}
     if hasattr(contender, "deviations") and SPREAD in told:
         return _of_fit(told[SPREAD])
     found = _of_block({s.name for s in contender.outputs}, told, getattr(contender, "half_widths", {}))
-    if _hashes(told, "physics_trained_on") & _hashes(told, "trained_on"):  # of a hybrid
+    physics, residual = (made_from({key: told.get(key, ())}) for key in ("physics_trained_on", "trained_on"))
+    if physics & residual:  # of a hybrid
         return {n: replace(band, why=f"{band.why}{SEEN}") for n, band in found.items()}
     return found
 

@@ -10,12 +10,13 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from hydrotwin.identification.bands import SPREAD, Spread, moves
+from hydrotwin.identification.bands import Spread, moves
 from hydrotwin.identification.beginning import StartEstimate, estimate_start
 from hydrotwin.identification.moved import Moved
 from hydrotwin.learned.bands import WIDE, known_bands
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.provenance import SPREAD
 from hydrotwin.records import Record
 from hydrotwin.simulation import predict_one_step, simulate
 from hydrotwin.simulation.block import Block
@@ -52,7 +53,8 @@ class PhysicalContender:
     """A Model or FlatModel.
 
     ``start`` fixes start states by name (SI), or by recording and name: ``{"load_3": {"load.force": 4500.0}}``.
-    ``parameters`` changes values by path (SI).
+    ``parameters`` changes values by path (SI). ``provenance`` is of the model as it runs, by default what it
+    says itself.
     """
 
     def __init__(
@@ -65,14 +67,19 @@ class PhysicalContender:
         parameters: Mapping[str, float] | None = None,
         provenance: Mapping | None = None,
     ):
-        flat = getattr(model, "flat", model)
-        self.flat = flat.with_parameters(parameters) if parameters else flat
+        own, flat = getattr(model, "provenance", None), getattr(model, "flat", model)
+        flat = _saying(flat, own).with_parameters(parameters or {})
+        self.flat = _saying(flat, provenance)
         self.name, self.kind = name or self.flat.name, kind
         self.inputs, self.outputs, self.parameters = self.flat.inputs, self.flat.outputs, self.flat.parameters
         self.start = dict(start) if start else None
         self.estimated: dict[str, StartEstimate] = {}  # by recording
         self.how: dict[str, float | str] = {}  # step [s] and method of its runs where they are not its own
-        self.provenance = dict(provenance or getattr(model, "provenance", None) or {})
+
+    @property
+    def provenance(self) -> Mapping:
+        """What the model says of where its values come from."""
+        return self.flat.provenance
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> PhysicalContender:
         """The same whose inputs do something else between samples, see `changed`."""
@@ -114,7 +121,7 @@ class PhysicalContender:
     def to_travel(self) -> PhysicalContender:
         """The same with equations that can be pickled."""
         spread = {SPREAD: self.provenance[SPREAD]} if SPREAD in self.provenance else {}
-        return with_changes(self, flat=portable(self.flat, self._given()), provenance=spread)
+        return with_changes(self, flat=dataclasses.replace(portable(self.flat, self._given()), provenance=spread))
 
     def free_run(self, record: Record) -> Record:
         """Outputs simulated from the inputs of ``record``."""
@@ -159,6 +166,13 @@ class PhysicalContender:
         if record.in_motion:  # a start that is given is of where a recording begins
             return None
         return self.start if by_record is None else by_record.get(record.whole)
+
+
+def _saying(flat, provenance: Mapping | None):
+    """The same model, which says so of where it comes from; as it is where nothing else is said."""
+    if not provenance or provenance == flat.provenance:
+        return flat
+    return dataclasses.replace(flat, provenance=dict(provenance))
 
 
 class BlockContender:
@@ -283,6 +297,10 @@ class _Renamed:
     def with_starts(self, estimates: Sequence[StartEstimate]) -> _Renamed:
         estimating = hasattr(self._contender, "with_starts")
         return _Renamed(self._contender.with_starts(estimates), self.name) if estimating else self
+
+    def stepped(self, step: float | None, method: str | None) -> _Renamed:
+        stepping = hasattr(self._contender, "stepped")
+        return _Renamed(self._contender.stepped(step, method), self.name) if stepping else self
 
     def to_travel(self) -> _Renamed:
         inner = self._contender

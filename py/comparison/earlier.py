@@ -27,7 +27,8 @@ class Earlier:
 
     recordings : their names by hash, where they have one. scores : empty where the file has none of this variant.
     started : models whose start was estimated. read : of each recording by name how many samples it had, and what was
-    read of its signals. between : what inputs did between their samples, by model and input. variants : what each
+    read of its signals. between : what inputs did between their samples, and how late their columns were taken [s], by
+    model and input. variants : what each
     changed; none for a comparison without.
     """
 
@@ -37,7 +38,7 @@ class Earlier:
     scores: Mapping[Key, Mapping[str, Mapping]] = field(default_factory=dict)
     started: frozenset[str] = frozenset()
     read: Mapping[str, Mapping] = field(default_factory=dict)
-    between: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    between: Mapping[tuple[str, str], tuple[str, float]] = field(default_factory=dict)
     variants: Mapping[str, Mapping] = field(default_factory=dict)
 
     def otherwise(self, comparison: Comparison) -> tuple[str, ...]:
@@ -77,9 +78,10 @@ class Earlier:
         """Inputs that were taken otherwise between their samples."""
         models: dict[tuple[str, str, str], list[str]] = {}
         for one, s in [(e, s) for e in comparison.entrants for s in e.inputs]:
-            then = self.between.get((one.name, s.name), s.interpolation)
-            if then != s.interpolation:
-                models.setdefault((s.name, then, s.interpolation), []).append(one.name)
+            now = s.interpolation, s.shift
+            then = self.between.get((one.name, s.name), now)
+            if then != now:
+                models.setdefault((s.name, _taken(*then), _taken(*now)), []).append(one.name)
         for (name, then, now), some in models.items():
             told = f"{name} of {some_of(some)} was taken as {then} then, and as {now} now"
             yield f"Between its samples {told}: errors may differ by that alone."
@@ -171,7 +173,7 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
         started = frozenset(s["model"] for s in told.get("starts", ()) if s.get("states"))
         read = {r["name"]: dict(r) for r in judged}
         variants = {v["name"]: dict(v["changes"]) for v in told.get("variants", ())}
-        between = {(m["name"], name): row["interpolation"] for m in told.get("models", ())
+        between = {(m["name"], name): (row["interpolation"], row.get("shift", 0.0)) for m in told.get("models", ())
                    for name, row in m.get("between_samples", {}).items() if "interpolation" in row}  # fmt: skip
     except OSError as error:
         raise DataError(
@@ -187,6 +189,12 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
     if variant:  # the file tells these of the base
         started, read, between = frozenset(), {}, {}
     return Earlier(path, means, recordings, scores, started, read, between, variants)
+
+
+def _taken(interpolation: str, shift: float) -> str:
+    """What an input does between its samples, in words."""
+    late = f" {abs(shift):.3g} s {'later' if shift > 0 else 'earlier'} than stamped" if shift else ""
+    return f"{interpolation}{late}"
 
 
 def _of_the_same(means: Mapping[Key, Mapping], own: Earlier) -> Mapping[Key, Mapping[str, Mapping]]:

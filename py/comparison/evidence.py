@@ -11,12 +11,12 @@ import numpy as np
 from hydrotwin.models.language.credibility import COMPARE, FIT, JUDGE, Credibility, Evidence, now, versions
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import ModelFile, add_evidence, read_model_file
+from hydrotwin.models.language.provenance import made_from
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import Record
 from hydrotwin.records.reading import reading_told
 
 from .acceptance import Acceptance
-from .band import made_from
 from .comparison import Comparison, Entrant, Score
 from .rates import rate_name
 

@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from hydrotwin.learned.bands import BAND, CARD
 from hydrotwin.models.language.errors import DeclarationError, nearest
-from hydrotwin.models.language.flat import lasting
 from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
 from hydrotwin.simulation import Block, lower
 from hydrotwin.simulation.closed_loop import close_loop
@@ -93,9 +91,7 @@ def in_loop(
         limits={loop.command: limits_of(loop, plant)},
         name=name or plant.name,
     )
-    told = {key: value for key, value in block.provenance.items() if key not in (BAND, CARD)}
-    told |= lasting(getattr(thing, "provenance", None) or {})
-    block = replace(block, provenance=told, domain=plant.domain)
+    block = replace(block, domain=plant.domain)
     return BlockContender(block, kind=str(plant.provenance.get("kind", "physical")), name=name or plant.name)
 
 

@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hydrotwin.models.language.provenance import made_from, told_since
 from hydrotwin.records import all_unbroken, cuts, turned_back
+from hydrotwin.records.between import shown_otherwise
 from hydrotwin.records.sizes import far_from_usual
 
-from .band import made_from
 from .criteria import some_of
 from .elsewhere import input_names
 from .uneven import uneven
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
 
 def notices(comparison: Comparison) -> tuple[str, ...]:
     """All of them: what a model was made from, what failed, what cannot be believed, what recordings lack."""
-    first = seen_before(comparison) + _inaccurate(comparison) + _failures(comparison) + _unlikely(comparison)
+    first = _made(comparison) + _inaccurate(comparison) + _failures(comparison) + _unlikely(comparison)
     found = _sizes(comparison) + _cut(comparison) + _turned(comparison) + _holes(comparison) + _uneven(comparison)
     return tuple(first + found)
 
@@ -29,12 +30,17 @@ def notices(comparison: Comparison) -> tuple[str, ...]:
 def remarks(comparison: Comparison) -> list[str]:
     """Those that a terminal has not told in another way: of recordings as they are read, of failures and of inaccurate
     runs as they happen."""
-    return seen_before(comparison) + _unlikely(comparison) + _sizes(comparison) + _cut(comparison) + _uneven(comparison)
+    return _made(comparison) + _unlikely(comparison) + _sizes(comparison) + _cut(comparison) + _uneven(comparison)
 
 
 def _sizes(comparison: Comparison) -> list[str]:
-    """Columns of most likely another unit."""
-    return far_from_usual(comparison.records, [s for e in comparison.entrants for s in (*e.inputs, *e.outputs)])
+    """Columns of most likely another unit, and inputs that do something else between their samples."""
+    found = far_from_usual(comparison.records, [s for e in comparison.entrants for s in (*e.inputs, *e.outputs)])
+    taken: dict[str, list[str]] = {}
+    for entrant in comparison.entrants:
+        for doubt in shown_otherwise(entrant.inputs, comparison.records):
+            taken.setdefault(doubt, []).append(entrant.name)
+    return found + [f"{some_of(names)}: {doubt}" for doubt, names in taken.items()]
 
 
 def _cut(comparison: Comparison) -> list[str]:
@@ -125,6 +131,12 @@ def seen_before(comparison: Comparison) -> list[str]:
             "recordings. Judge on ones that no model has seen."
         )
     return found + _twice(comparison)
+
+
+def _made(comparison: Comparison) -> list[str]:
+    """What models were made from, and which are others than were fitted or trained."""
+    found = [(e.name, told_since(e.provenance)) for e in comparison.entrants]
+    return seen_before(comparison) + [f"{name}: {told}." for name, told in found if told]
 
 
 def _twice(comparison: Comparison) -> list[str]:

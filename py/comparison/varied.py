@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import fnmatch
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hydrotwin.models.effects import Candidate, candidates
 from hydrotwin.models.language import Model
-from hydrotwin.models.language.errors import DeclarationError, HydrotwinError, nearest
+from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel, no_parameter
 from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
 
-from .contender import PhysicalContender
 from .variants import Variant
-
-SAME = 1e-12  # relative: the same number, read in one unit or another
-_OF_NO_FIT = {"sigma": None, "source": "set for this comparison"}
 
 
 @dataclass(frozen=True)
@@ -39,9 +34,7 @@ def varied(one: Thing, variant: Variant) -> object:
     if isinstance(made, Model):
         made = _with_effects(made, variant)
     known = settable(made)
-    values = {
-        path: value for path, value in variant.parameters.items() if path in known and not _has(made, path, value)
-    }
+    values = {path: value for path, value in variant.parameters.items() if path in known}
     return with_values(made, values) if values else made
 
 
@@ -58,7 +51,7 @@ def with_values(thing, values: Mapping[str, object]) -> object:
         raise no_parameter(thing.name, unknown[0], own)
     numbers = {path: in_unit(value, own[path]) for path, value in values.items()}
     if isinstance(thing, Model):
-        return thing.with_settings({n: {**_OF_NO_FIT, "value": v, "unit": own[n].unit} for n, v in numbers.items()})
+        return thing.with_settings({n: {"value": v, "unit": own[n].unit} for n, v in numbers.items()})
     return thing.with_parameters(numbers)
 
 
@@ -74,7 +67,7 @@ def _as_written(value: object) -> str:
 
 def run_as(contender, variant: Variant):
     """The contender with the step and the method of the variant, where it takes any."""
-    if (variant.step is None and variant.method is None) or not isinstance(contender, PhysicalContender):
+    if (variant.step is None and variant.method is None) or not hasattr(contender, "stepped"):
         return contender
     return contender.stepped(variant.step, variant.method)
 
@@ -164,12 +157,3 @@ def _candidate(model: Model, effect: str) -> Candidate | None:
 
 def _fitting(model: Model, effect: str) -> list[Candidate]:
     return [c for c in candidates(model, [effect.partition(" at ")[0]], merged=False) if not c.site.frees]
-
-
-def _has(thing, path: str, value: float | str) -> bool:
-    """Whether a parameter has this value already: set once more, an identified one would lose what is known of it."""
-    own = next((p for p in getattr(thing, "flat", thing).parameters if p.name == path), None)
-    try:
-        return own is not None and math.isclose(in_unit(value, wanted(own)), own.value, rel_tol=SAME, abs_tol=0.0)
-    except HydrotwinError:  # the model says it where it is set
-        return False

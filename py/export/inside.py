@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import hashlib
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from hydrotwin.models.language.credibility import FIT, KEY, Credibility, from_data
 from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.flat import SD
+from hydrotwin.models.language.provenance import SINCE
 
 from .archive import file_names
 from .related import FOLDER, content_of
@@ -71,16 +73,23 @@ def made_of(path: Path) -> list[str]:
     return [n for n in file_names(path) if n.startswith(MADE_OF) and not n.endswith("/")]
 
 
-def fitted_recordings(path: Path) -> list[dict[str, str]]:
-    """Name and SHA-256 of the recordings that the values of an FMU follow, as its record says; none without one."""
-    if RECORD_FILE not in file_names(path):
-        return []
+def made_from_inside(path: Path, outputs: Sequence[str]) -> dict:
+    """Of which recordings the values of an FMU follow, as its record says, and that it tells no bands: a provenance.
+
+    Empty without a record, or with one that cannot be read, which `check` tells.
+    """
     try:
-        evidence = record_of(path).credibility.evidence
-    except DataError:  # `check` says what is wrong with it
-        return []
-    rows = [row for one in evidence for row in one.recordings if row["role"] == FIT and row["sha256"]]
-    return [{"name": row["name"], "sha256": row["sha256"]} for row in {row["sha256"]: row for row in rows}.values()]
+        known = record_of(path).credibility if RECORD_FILE in file_names(path) else Credibility()
+    except DataError:
+        return {}
+    rows = [row for one in known.evidence for row in one.recordings if row["role"] == FIT and row["sha256"]]
+    if not rows:
+        return {}
+    told = [one.facts.get(SINCE) for one in known.evidence]
+    since = [str(word) for words in told if isinstance(words, list | tuple) for word in words]
+    seen = {row["sha256"]: {"name": row["name"], "sha256": row["sha256"]} for row in rows}
+    own_band = any(name.endswith(SD) for name in outputs)
+    return {"trained_on": [*seen.values()], SINCE: since if own_band else [*since, "an FMU, which holds no covariance"]}
 
 
 def sha256_of(content: str | bytes) -> str:

@@ -14,6 +14,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import ParameterValue, Signal, changed
+from hydrotwin.models.language.provenance import lasting
 from hydrotwin.records import Record, as_needed, known_inputs, require, steps_over
 from hydrotwin.records.between import settled, told
 from hydrotwin.simulation.inputs import as_seen
@@ -32,7 +33,7 @@ from .fmu_settings import (
     unrecorded,
 )
 from .foreign import DIFFERENCE, Description, describe_fmu, kind_of
-from .inside import fitted_recordings
+from .inside import made_from_inside
 
 TIME_LIMIT = 120.0
 MEAN = "the FMU takes no slopes, and each of its steps sees the mean"
@@ -92,11 +93,11 @@ class FmuBlock:
         inputs = {self.description.fmu_names[s.name]: s for s in (*self.inputs, *self.resting)}
         fixed = [_resting(s, own[n], n, self.description) for n, s in inputs.items() if n in own]
         rest = {n: v for n, v in own.items() if n not in inputs}
-        scales = self.description.scales
-        shown = {n: scales[n][0] * v + scales[n][1] for n, v in rest.items() if not isinstance(v, str)}
+        shown = {n: np.polyval(self.description.scales[n], v) for n, v in rest.items() if not isinstance(v, str)}
         other = replace(
             self, values={**self.values, **rest},
-            parameters=tuple(replace(p, value=shown.get(p.name, p.value)) for p in self.parameters),
+            parameters=tuple(replace(p, value=float(shown.get(p.name, p.value))) for p in self.parameters),
+            provenance=lasting(self.provenance, f"{', '.join(rest)} set") if rest else self.provenance,
         )  # fmt: skip
         return other.at_rest(fixed, [at_rest(s, (), given=True) for s in fixed])
 
@@ -159,8 +160,7 @@ class FmuBlock:
 
     def _run(self, record: Record, first: Record | None = None) -> Record:
         """One free run; ``first`` holds the measured outputs to start from, when ``record`` has inputs only."""
-        job, arrays = self._job("run", record, first or record)
-        return self._record(record, run_child(job, arrays, self.time_limit)["y"])
+        return self._record(record, run_child(*self._job("run", record, first or record), self.time_limit)["y"])
 
     @property
     def modes(self) -> tuple[str, ...]:
@@ -386,7 +386,8 @@ def _is_parameter(variable) -> bool:
 def _parameter(variable, description: Description) -> ParameterValue:
     (factor, offset), own = description.scales[variable.name], float(str(variable.start).split()[0])
     unit, about = description.units[variable.name], variable.description or ""
-    return ParameterValue(variable.name, factor * own + offset, unit, description=about)
+    bounds = sorted(factor * float(said) + offset for said in (variable.min or "-inf", variable.max or "inf"))
+    return ParameterValue(variable.name, factor * own + offset, unit, tuple(bounds), description=about)
 
 
 def _provenance(path: Path, description: Description, outputs: Sequence[str]) -> dict:
@@ -395,5 +396,5 @@ def _provenance(path: Path, description: Description, outputs: Sequence[str]) ->
     if late := late_outputs(md, outputs, [v.name for v in inputs_of(md)]):
         facts[LATE] = ", ".join(late)
     facts |= {LEFT_OUT: ", ".join(description.left_out), REDEFINED: "; ".join(description.redefined)}
-    facts |= {"units taken as 1": ", ".join(description.unknown_units), "trained_on": fitted_recordings(path)}
+    facts |= {"units taken as 1": ", ".join(description.unknown_units)} | made_from_inside(path, outputs)
     return {k: v for k, v in facts.items() if v}

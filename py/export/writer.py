@@ -8,10 +8,11 @@ import os
 import re
 import tempfile
 import uuid
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from hydrotwin.models.language.credibility import Credibility
+from hydrotwin.models.language.credibility import Credibility, with_made_from
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.records import Record, write_record
 from hydrotwin.simulation.block import Block
@@ -103,7 +104,8 @@ def export_fmu(
     experiments : recordings with what the model gives for them, as `reference_experiment` makes them; they and a
         ``reference`` that is small go along as FMI-LS-REF says, for whoever wants to run them again. Their inputs and
         starts are copied into the FMU.
-    credibility : of its model file; goes along as the FMU's record. It names recordings and holds no measurements.
+    credibility : of its model file; goes along as the FMU's record. It names recordings and holds no measurements. What
+        the model says itself of which recordings its values follow goes along, too.
 
     The same arguments give the same bytes. Returns the path. Raises DeclarationError for what cannot be exported,
     SolveError when no compiler works.
@@ -146,7 +148,13 @@ def export_fmu(
     if reference is not None:
         files[REFERENCE_FILE] = _reference_text(reference, variables, lowered)
     agreement = OTHER_SOLVER if kind == "me" else AGREEMENT
+    credibility = with_made_from(credibility, lowered.provenance)
+    _tell_left_out(lowered)
     return _with_references(path, files, Carried(reference, experiments, credibility, agreement))
+
+
+class LeftOutWarning(UserWarning):
+    """What an FMU cannot hold of its model; the text says what, and what to do."""
 
 
 def _with_references(path: str | os.PathLike, files: Mapping[str, str | bytes], carried: Carried) -> Path:
@@ -157,6 +165,20 @@ def _with_references(path: str | os.PathLike, files: Mapping[str, str | bytes], 
         bare = write_archive(Path(folder) / "bare.fmu", files)
         more = reference_files(bare, carried, tool_name())
     return write_archive(path, {**files, **more})
+
+
+def _tell_left_out(lowered: Lowered) -> None:
+    """Warn of what an FMU cannot say of its inputs: whoever feeds it decides."""
+    late = [f"{s.name} {s.shift:+.3g} s" for s in lowered.inputs if s.shift]
+    smooth = [s.name for s in lowered.inputs if s.interpolation == "smooth"]
+    told = [f"takes columns later than they are stamped ({', '.join(late)})"] if late else []
+    told += [f"takes inputs on smooth curves through their samples ({', '.join(smooth)})"] if smooth else []
+    if told:
+        warnings.warn(
+            f"{lowered.name}: the model {' and '.join(told)}, which an FMU cannot say. Feed it inputs that are so.",
+            LeftOutWarning,
+            stacklevel=3,
+        )
 
 
 def _refuse_unknown(fmi: int, kind: str):

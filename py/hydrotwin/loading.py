@@ -19,6 +19,7 @@ from hydrotwin.models.language.credibility import StaleEvidenceWarning
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
 from hydrotwin.models.language.parameter_file import read_toml
+from hydrotwin.models.language.provenance import EDITED, lasting, refitted
 from hydrotwin.models.language.user_code import place, place_of_code, running
 
 PHYSICAL = ("cehA", "cehA:third_order", "spool_valve", "spool_valve:quasi_static")
@@ -186,6 +187,7 @@ def _with_file(model, file: ModelFile) -> Model:
         raise DeclarationError(f"{file.path}: only a physical model takes the values of a model file. Drop the '@'.")
     try:
         settings, provenance = _vouched(file)
+        provenance = refitted(model.provenance, provenance, stay=True)
         answer = with_effects(_as_it_is(model, file), file.effects).with_settings(settings, provenance)
         answer = answer.with_inputs(file.inputs) if file.inputs else answer
         _ = answer.flat
@@ -200,10 +202,8 @@ def _vouched(file: ModelFile) -> tuple[dict, dict]:
     """Settings and provenance; without the intervals of a fit where its values were edited: they are about others."""
     settings, provenance = dict(file.settings), dict(file.provenance)
     if file.stale:
-        from hydrotwin.identification.bands import SPREAD
-
         settings = {n: {k: v for k, v in s.items() if k != "sigma"} for n, s in settings.items()}
-        provenance.pop(SPREAD, None)
+        provenance = lasting(provenance, EDITED)
     return settings, provenance
 
 

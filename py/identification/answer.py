@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hydrotwin.models.language.errors import SolveError
-from hydrotwin.models.language.flat import IDENTIFIED
+from hydrotwin.models.language.provenance import IDENTIFIED
 from hydrotwin.records.whiteness import SIGNIFICANCE, ljung_box
 from hydrotwin.simulation.control import Accuracy
 

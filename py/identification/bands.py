@@ -20,6 +20,7 @@ from scipy.linalg import block_diag
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.models.language.provenance import SPREAD, TRAIN
 from hydrotwin.records import Record
 from hydrotwin.records.between import settled
 from hydrotwin.simulation import prepare
@@ -28,9 +29,6 @@ from hydrotwin.simulation.simulate import filled, inputs_of, since_start
 from .beginning import StartEstimate
 from .moved import Moved
 from .start_states import StartStates
-
-TRAIN = "train"
-SPREAD = "spread"  # its key in the provenance of a model file
 
 
 @dataclass(frozen=True, eq=False)

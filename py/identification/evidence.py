@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hydrotwin.models.language.credibility import FIT, IDENTIFY, JUDGE, Evidence, now, recording_rows, versions
-from hydrotwin.models.language.flat import RECORDINGS
+from hydrotwin.models.language.provenance import RECORDINGS, SPREAD
 from hydrotwin.records import Record
 
-from .bands import SPREAD, Spread
+from .bands import Spread
 from .fit import Fit
 
 MODE = "free run"
@@ -17,15 +17,20 @@ ROLES = {"train": FIT, "validate": JUDGE}
 
 def provenance_of_fit(fit: Fit) -> dict:
     """What the fitted model says of its making: recordings, noise, errors, and how sure the fit is (`Spread`)."""
-    return {
-        RECORDINGS: recordings_of(fit),
+    return made_by_fit(fit) | {
         "chi2_per_sample": float(fit.chi2_per_dof),
         "noise": dict(fit.noise),
         "rmse": fit.rmse,
         "accuracy": fit.accuracy.as_data() if fit.accuracy else {},
         "findings": [str(f) for f in fit.findings],
-        SPREAD: Spread.of(fit).told(),
+        "asked": {key: value for key, value in fit.settings.items() if value is not None},
     }
+
+
+def made_by_fit(fit: Fit) -> dict:
+    """Which recordings a fitted model follows, and how sure the fit is, where it tells that."""
+    sure = {SPREAD: Spread.of(fit).told()} if getattr(fit, "covariance", None) is not None else {}
+    return {RECORDINGS: recordings_of(fit)} | sure
 
 
 def recordings_of(fit: Fit) -> list[dict[str, str]]:

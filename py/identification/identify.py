@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.flat import fitted_beside
+from hydrotwin.models.language.provenance import refitted
 from hydrotwin.records import cuts, distinct
 from hydrotwin.records.between import settled
 from hydrotwin.simulation import prepare
@@ -136,7 +138,9 @@ def identify(
         said = [*(Finding("assumption", (), f"identify: {s}") for c in given_up for s in c.sentences), *said]
         said += [Finding("hole", (), f"identify: {s}") for s in cuts([*records, *validate])]
         fit = dataclasses.replace(fit, findings=(*said, *fit.findings))
-        return dataclasses.replace(fit, flat=dataclasses.replace(fit.flat, provenance=provenance_of_fit(fit)))
+        stay = fitted_beside(flat, parameters.names)
+        known = refitted(flat.provenance, provenance_of_fit(fit), stay)
+        return dataclasses.replace(fit, flat=dataclasses.replace(fit.flat, provenance=known))
 
 
 def _adaptable(flat, weights: str, noise: Mapping[str, float] | None) -> np.ndarray:

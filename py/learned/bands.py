@@ -20,6 +20,7 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 
 from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.provenance import BAND, CARD
 from hydrotwin.records import Record
 from hydrotwin.simulation import Block, predict_one_step, simulate
 from hydrotwin.simulation.stops import Diverged
@@ -30,7 +31,6 @@ from .held_out import Part, as_parts, through
 LEVEL = 0.95
 WIDE = float(ndtri(0.5 + LEVEL / 2))  # standard deviations of a band of that level
 OWN, CONFORMAL = "own", "conformal"  # what a band is made of
-BAND, CARD = "band", "free_run"  # where a block's provenance tells it: found in training, and judged in `report_card`
 GOOD = (0.90, 0.99)  # coverage at `LEVEL` of a band to be trusted
 FAR = 2.0  # factor of a correction, either way, from which on the band's own shape is not to be trusted
 WORTH = 0.1  # of a factor: a smaller correction is not worth words

@@ -203,7 +203,7 @@ def _frame(header: Mapping) -> dict:
         "name": header["name"],
         "description": header.get("description", ""),
         "period": float(header["period"]),
-        "inputs": tuple(Signal(**t) for t in header["inputs"]),
+        "inputs": tuple(Signal(**{"interpolation": None, "chosen_by": None, **t}) for t in header["inputs"]),
         "outputs": tuple(Signal(**t) for t in header["outputs"]),
         "states": tuple(StateVariable(**bounded(t)) for t in header["states"]),
         "parameters": tuple(ParameterValue(**bounded(t)) for t in header.get("parameters", [])),

@@ -74,6 +74,37 @@ def shown(signal: Signal, columns: Sequence[np.ndarray]) -> tuple[str, str]:
     return "linear", f"a measured quantity [{signal.unit}] that moves between its samples"
 
 
+def shown_otherwise(inputs: Sequence[Signal], records: Sequence) -> list[str]:
+    """Of every input that some ``records`` show otherwise than it is taken, a sentence.
+
+    A choice by recordings is about those: of a model file about the ones of its fit, and a fit that found it so looked
+    at no others. What a user says, or a model declares, is not doubted.
+    """
+    found = []
+    for s in {(s.name, s.interpolation): s for s in inputs if s.chosen_by in (None, "recording", "fit")}.values():
+        columns = {r.name: r[s.name] for r in records if s.name in r}
+        kind = s.interpolation or shown(s, list(columns.values()))[0]
+        apart = {n: why for n, c in columns.items() if (why := _against(s, kind == "hold", c))}
+        if apart:
+            first, *others = apart
+            taken, other = ("held", "linear") if kind == "hold" else (kind, "hold")
+            more = f" (and {len(others)} more)" if others else ""
+            found.append(
+                f"input {s.name} is taken as {taken} between its samples, and {first}{more} shows it otherwise: "
+                f"{apart[first]}. Errors there may come from that alone; --interpolation {s.name}={other} takes it so."
+            )
+    return found
+
+
+def _against(signal: Signal, held: bool, column: np.ndarray) -> str:
+    """Why a column shows that an input is not as it is taken; "" where it shows nothing of that."""
+    stays, changes = _stays(column)
+    kind, why = shown(signal, [column])
+    if changes < FEWEST or held == (kind == "hold"):
+        return ""
+    return why if stays > STAYS * changes or (held and signal.chosen_by != "fit") else ""
+
+
 def _same(unit: str, other: str) -> bool:
     return unit == other or (unit not in ("rad", "1") and other != "1" and compatible(unit, other))
 

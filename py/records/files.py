@@ -100,7 +100,9 @@ def write_record(
 ) -> Path:
     """Write a record; each column in the unit of ``units``, else the one it was read in, else SI.
 
-    The suffix picks the format; MAT is v5 unless ``mat_version="7.3"``. A failed write leaves an old file whole.
+    Signals alone are written: tags, words and the hash of the file that it was read from stay behind, so that who was
+    made from that file is not told to be made from the new one. The suffix picks the format; MAT is v5 unless
+    ``mat_version="7.3"``. A failed write leaves an old file whole.
     """
     path = Path(path)
     suffix = path.suffix.lower()

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 import casadi as ca
 
 from hydrotwin.models.language.errors import DeclarationError, TopologyError, nearest
+from hydrotwin.models.language.provenance import lasting
 
 from .block import Block
 
@@ -71,7 +72,7 @@ def close_loop(
         start=_start(plant, controller, len(own), len(driven), len(commands)),
         period=plant.period,
         description=f"{plant.name} under {controller.name}",
-        provenance={**plant.provenance, "controller": controller.name},
+        provenance=lasting(plant.provenance, f"under {controller.name}") | {"controller": controller.name},
     )
 
 

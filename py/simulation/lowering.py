@@ -10,6 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel, StateVariable
+from hydrotwin.models.language.provenance import lasting
 
 from . import equations, stiffness
 from .block import Block
@@ -50,7 +51,8 @@ def lower(model, period: float, method: str = "explicit") -> Block:
         start=_start(flat, lines),
         period=period,
         description=flat.description,
-        provenance={"lowered_from": flat.name, "method": method, "step": flat.step},
+        provenance=lasting(flat.provenance, f"stepped every {period:g} s as a block")
+        | {"lowered_from": flat.name, "method": method, "step": flat.step},
     )
 
 

@@ -22,6 +22,7 @@ from hydrotwin.models.language.writing import replacing
 
 from .executor import mapped, portable, versions
 
+_WORDLESS = ("initialisation", "provenance")  # of a FlatModel: hashed as what it gives; no run depends on it
 _TEXT = "__json__"
 _ARRAY, _TUPLE, _KIND = "__array__", "__tuple__", "__kind__"
 
@@ -187,7 +188,7 @@ def _feed(digest, value) -> None:
         _put(digest, "array", f"{data.dtype.str}{data.shape}".encode())
         _put(digest, "", data.tobytes())
     elif isinstance(value, FlatModel):
-        known = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name != "initialisation"}
+        known = {f.name: getattr(value, f.name) for f in dataclasses.fields(value) if f.name not in _WORDLESS}
         starts = portable(value).initialisation.functions
         _put(digest, "flat", b"")
         _feed(digest, [known, {"\0".join(names): function for names, function in starts.items()}])

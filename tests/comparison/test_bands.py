@@ -15,11 +15,11 @@ from hydrotwin.comparison.elsewhere import other_reasons
 from hydrotwin.comparison.notices import notices
 from hydrotwin.comparison.travel import Carried
 from hydrotwin.identification import Spread, identify
-from hydrotwin.identification.bands import SPREAD
 from hydrotwin.learned import learn
 from hydrotwin.learned.bands import WIDE
 from hydrotwin.learned.hybrid.files import read_hybrid, write_hybrid
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.provenance import SPREAD
 from hydrotwin.records import Record
 from hydrotwin.report import write_report
 from tests.comparison.toys import OUTPUTS, Toy, recording

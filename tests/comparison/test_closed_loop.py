@@ -11,11 +11,12 @@ import pytest
 
 import hydrotwin
 from hydrotwin.comparison import Variant, as_contender, read_scenario, run_scenario
-from hydrotwin.comparison.band import bands_of, made_from
+from hydrotwin.comparison.band import bands_of
 from hydrotwin.comparison.loop import Loop, in_loop, read_loop
 from hydrotwin.comparison.running import load_contenders
 from hydrotwin.learned import learn
 from hydrotwin.models.language.errors import DeclarationError, TopologyError
+from hydrotwin.models.language.provenance import made_from
 from hydrotwin.simulation import lower
 from hydrotwin.simulation.closed_loop import close_loop
 from hydrotwin.simulation.control_system import from_control

@@ -117,6 +117,12 @@ def test_inputs_between_samples_and_recordings_that_are_not_told_are_otherwise(g
     path.write_text(json.dumps(told), encoding="utf-8")
     between, unknown = acceptance(good, Wanted(against=path)).otherwise
     assert between.startswith("Between its samples command of m was taken as smooth then")
+    told["models"][0]["between_samples"]["command"] |= {"interpolation": "hold", "shift": 0.005}
+    path.write_text(json.dumps(told))
+    assert (
+        "as hold 0.005 s later than stamped then, and as hold now"
+        in acceptance(good, Wanted(against=path)).otherwise[0]
+    )
     assert unknown.startswith("compare.json does not say of which recordings it is")
 
 

@@ -11,10 +11,10 @@ import pytest
 
 import hydrotwin
 from hydrotwin.comparison import HoldLast, PhysicalContender, Wanted, acceptance, compare
-from hydrotwin.identification.bands import SPREAD
 from hydrotwin.identification.beginning import estimate_start
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.provenance import SPREAD
 from hydrotwin.records import Record, read_record
 from tests.comparison.toys import Toy, recording
 from tests.identification.drive import drive

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydrotwin.comparison.band import made_from
 from hydrotwin.export import check_fmu, export_fmu, read_fmu, reference_files, reference_run
 from hydrotwin.export.archive import write_archive
 from hydrotwin.export.experiments import experiments_of, series_of, series_text
@@ -19,6 +18,7 @@ from hydrotwin.export.reference import reference_experiment
 from hydrotwin.export.replay import carried_rows
 from hydrotwin.models.language.credibility import FIT, JUDGE, Credibility, Evidence, versions
 from hydrotwin.models.language.errors import DeclarationError
+from hydrotwin.models.language.provenance import made_from
 from hydrotwin.records import Record
 from tests.export.systems import clocked_mass, lag_block
 

@@ -16,6 +16,7 @@ import hydrotwin as ht
 from hydrotwin.comparison import PhysicalContender, Wanted, acceptance, compare, replay
 from hydrotwin.models.language.credibility import Evidence, StaleEvidenceWarning
 from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.provenance import EDITED, SINCE
 from tests.face.command_line import hydrotwin
 
 LOOSE, TIGHT = "arm_angle.rmse < 20 deg", "arm_angle.rmse < 0.0001 deg"
@@ -104,7 +105,8 @@ def test_edited_values_are_told_and_recording_anew_drops_what_no_longer_holds(fi
     assert hydrotwin("check", file).code == 0
     with warnings.catch_warnings():
         warnings.simplefilter("error", StaleEvidenceWarning)
-        ht.load(str(file))
+        told = ht.load(str(file)).provenance
+    assert told[SINCE] == [EDITED] and not told.keys() & {"rmse", "findings", "chi2_per_sample", "spread"}
 
 
 @pytest.mark.parametrize("edit", [("bounds = [20.0,", "bounds = [10.0,"), ("identified from train_1", "my bench")])

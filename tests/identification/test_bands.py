@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 
 from hydrotwin.comparison import compare
-from hydrotwin.comparison.band import made_from
 from hydrotwin.identification import Spread, deviations, identify
-from hydrotwin.identification.bands import SPREAD
 from hydrotwin.identification.beginning import StartEstimate, StartState, estimate_start
 from hydrotwin.models import cehA
 from hydrotwin.models.effects import add_effect
 from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.provenance import SINCE, SPREAD, made_from
 from hydrotwin.simulation import simulate, simulate_many
 from tests.identification.drive import drive, recorded
 
@@ -122,7 +121,7 @@ def test_the_flat_model_of_a_fit_knows_where_it_comes_from_until_a_value_is_anot
     fitted = identify(drive(), [train], free=["motor.gain"]).flat
     (one,) = compare([fitted], [train], modes=["free run"]).entrants
     assert made_from(one.provenance) == {"a" * 64} and {b.output for b in one.bands} == set(NOISE)
-    assert not fitted.with_parameters({"motor.gain": 2.0}).provenance
+    assert fitted.with_parameters({"motor.gain": 2.0}).provenance == {SINCE: ["motor.gain set"]}
 
 
 def test_a_model_of_which_something_is_another_still_follows_its_recordings_and_has_no_band():
@@ -140,7 +139,12 @@ def test_a_model_of_which_something_is_another_still_follows_its_recordings_and_
     fitted_model = model.with_settings({"motor.gain": {"value": 110.0, "sigma": 1.0, "source": "identified"}})
     leaking = add_effect(known, "internal_leakage", values={"conductance": 1e-12})
     again = leaking.with_settings({}, fitted.provenance)
-    changed = (leaking, again.without(again.additions), known.with_parameters({"arm.mass": 40.0}), known.but(name="x"))
+    changed = (
+        leaking,
+        again.without(again.additions),
+        known.with_parameters({"arm.extra_mass": 41.0}),
+        known.but(name="x"),
+    )
     assert [SPREAD in m.provenance for m in changed] == [False, False, False, True]
     typed = fitted_model.with_parameters({"motor.gain": 90.0}).flat
     assert (typed.parameters[typed.index_of("motor.gain")].sigma, typed.provenance) == (None, {})

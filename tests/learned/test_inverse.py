@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -20,6 +22,7 @@ from hydrotwin.learned.inverse.data import Characteristic, characteristic
 from hydrotwin.learned.inverse.learn import learn_inverse, round_trip
 from hydrotwin.models.language.errors import DataError, DeclarationError, SolveError
 from hydrotwin.models.language.flat import Signal, StateVariable
+from hydrotwin.models.language.provenance import made_from
 from hydrotwin.models.spool_valve import quasi_static
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
@@ -233,7 +236,9 @@ def test_the_rate_of_a_position_that_never_settles_is_taken_from_a_block():
     start = ca.Function("start", [u, y, p], [y], ["u", "y", "p"], ["x"])
     state = StateVariable("position", "m", measured_by="position")
     block = Block("cubic", (CURRENT,), (Signal("position", "m"),), (state,), (), step, start, 0.01)
+    block = dataclasses.replace(block, provenance={"trained_on": [{"name": "train", "sha256": "a" * 64}]})
     inverse = learn_inverse(block, "current", "position", start={"position": 0.0})
+    assert made_from(inverse.provenance) == {"a" * 64}, "it follows what its source does"
     assert static_answer(inverse, [0.2 * 0.5**3, -0.2])[:2] == pytest.approx([0.5, -1.0], abs=5e-3)
     with pytest.raises(DataError, match="the start is not known"):
         learn_inverse(block, "current", "position")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records.between import sentences, shown
+from hydrotwin.records import Record
+from hydrotwin.records.between import sentences, shown, shown_otherwise
 
 TIME = np.arange(0, 10, 0.01)
 RANDOM = np.random.default_rng(0)
@@ -54,3 +55,35 @@ def test_what_a_model_declares_needs_no_words_and_everything_else_has_its_reason
     assert sentences([Signal("command", "V", chosen_by="model")]) == []
     (told,) = sentences([Signal("force", "N", interpolation="linear", chosen_by="fit", shift=-0.01, why="because")])
     assert "linear" in told and "0.01 s earlier" in told and "the fit: because" in told
+
+
+def as_taken(interpolation: str | None, chosen_by: str | None) -> Signal:
+    return Signal("force", "N", interpolation=interpolation, chosen_by=chosen_by, why="so it was in the fit")
+
+
+def runs(**columns) -> list[Record]:
+    return [Record(TIME, {"force": values}, {"force": "N"}, name) for name, values in columns.items()]
+
+
+@pytest.mark.parametrize(
+    ("signal", "columns", "apart"),
+    [
+        (as_taken("hold", "recording"), {"smooth": SINE}, "smooth"),
+        (as_taken("hold", "recording"), {"steps": STEPS}, ""),
+        (as_taken("hold", "recording"), {"steps": STEPS, "smooth": SINE, "more": SINE}, "smooth (and 1 more)"),
+        (as_taken("linear", "recording"), {"steps": STEPS}, "steps"),
+        (as_taken("smooth", "fit"), {"steps": STEPS, "smooth": SINE}, "steps"),
+        (as_taken("hold", "fit"), {"smooth": SINE}, ""),  # the fit held what looked linear, and saw why
+        (as_taken(None, None), {"steps": STEPS, "slower": SLOWER, "smooth": SINE}, "steps (and 1 more)"),
+        (as_taken("hold", "recording"), {"still": 0 * TIME}, ""),  # it shows nothing
+        (as_taken("hold", "model"), {"smooth": SINE}, ""),
+        (as_taken("hold", "user"), {"smooth": SINE}, ""),
+    ],
+)
+def test_a_choice_by_recordings_is_told_where_others_show_it_otherwise(signal, columns, apart):
+    """A file of a fit to held forces ran with held ones on a smooth force, 20 times as wrong, and gave their reason."""
+    told = shown_otherwise([signal], runs(**columns))
+    assert bool(told) == bool(apart)
+    if told:
+        other = "linear" if signal.interpolation == "hold" else "hold"
+        assert f"{apart} shows it otherwise" in told[0] and f"--interpolation force={other}" in told[0]

@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydrotwin.identification.evidence import recordings_of
+from hydrotwin.identification.evidence import made_by_fit
 from hydrotwin.models.effects import Candidate
 from hydrotwin.models.language.errors import SolveError
-from hydrotwin.models.language.flat import IDENTIFIED, RECORDINGS
+from hydrotwin.models.language.flat import fitted_beside
 from hydrotwin.models.language.model import Model
+from hydrotwin.models.language.provenance import IDENTIFIED, refitted
 
 from ..diagnosis.experiment import next_experiment
 from ..diagnosis.locate import locations
@@ -152,7 +153,8 @@ def _with_fit(model: Model, concluded: Concluded) -> Model:
         settings[p.name] = {"value": float(p.value), "unit": p.unit, "source": IDENTIFIED, "free": True}
         if np.isfinite(p.sigma):
             settings[p.name]["sigma"] = float(p.sigma)
-    return model.with_settings(settings, {RECORDINGS: recordings_of(concluded.fit)})
+    known = refitted(model.provenance, made_by_fit(concluded.fit), fitted_beside(model.flat, settings))
+    return model.with_settings(settings, known)
 
 
 # -- what judges -------------------------------------------------------------------------------------------------------

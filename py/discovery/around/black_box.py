@@ -218,7 +218,8 @@ def black_box(around: FlatModel, shaped: ca.Function, raw: list[int], fmu: Repea
         states=_measured(around, fmu, names["starts"]), parameters=parameters, ode=public,
         initialisation=_Beginning(around, tuple(kept)), step=around.step, fmu=fmu,
         front=_front(around, inputs, given, public, (t, x, u, p), common), back=back,
-        begin=ca.Function("begin", [u, r, p], [ca.densify(start)]), from_raw=tuple(rows), **names,
+        begin=ca.Function("begin", [u, r, p], [ca.densify(start)]), from_raw=tuple(rows),
+        provenance=around.provenance, **names,
     )  # fmt: skip
 
 

@@ -70,7 +70,7 @@ class SurroundedFmu(Model):
 
     def with_inputs(self, changes: Mapping[str, Mapping]) -> SurroundedFmu:
         """The same whose inputs do something else between samples, also where they reach the FMU."""
-        other = surrounded(self.fmu.with_inputs(changes)).plus(self.additions)
+        other = surrounded(self.fmu.with_inputs(changes)).plus(self.additions, sought=self.sought)
         other = other.with_settings(self.settings, self.provenance)
         other.step = self.step
         return other
@@ -140,9 +140,8 @@ def surrounded(fmu: FmuBlock, period: float = 0.0) -> SurroundedFmu:
     experiment = fmu.description.source.defaultExperiment
     own = float(experiment.stepSize) if experiment is not None and experiment.stepSize else 0.0
     name = re.sub(r"\W|^(?=\d)", "_", fmu.name)
-    provenance = {k: str(v) for k, v in fmu.provenance.items()}
     step = max(STEP, own / SAMPLES, period / SAMPLES)
-    return SurroundedFmu(_component(fmu), name, step=step, provenance=provenance)
+    return SurroundedFmu(_component(fmu), name, step=step, provenance=fmu.provenance)
 
 
 def sized(model: SurroundedFmu, records: Sequence[Record]) -> SurroundedFmu:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import time
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated
 
@@ -122,7 +123,7 @@ def gap(
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     check_set(reading, thing.flat)
     train, judged = read_all(records, reading), read_all(validate, reading)
-    check_recordings(thing, train, judged)
+    check_recordings(thing, train, judged, interpolation_from(interpolation))
     memory = Memory(output / KEPT)
     if not resume:
         memory.remove()
@@ -196,7 +197,7 @@ def telling(name: str, silent: bool):
         yield told
 
 
-def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:
+def check_recordings(thing, train: list[Record], judged: list[Record], said: Collection[str] = ()) -> None:
     """Every recording has the inputs of the model, and none judges what it taught; unknown columns are told."""
     from hydrotwin.discovery.recordings import require_unseen
 
@@ -204,7 +205,7 @@ def check_recordings(thing, train: list[Record], judged: list[Record]) -> None:
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in flat.outputs if s.name in record)], thing.name)
     require_unseen(train, judged)
-    tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name)
+    tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name, said)
 
 
 def print_discovery(found, folder: Path) -> None:

@@ -12,6 +12,7 @@ import typer
 
 from hydrotwin import __version__
 from hydrotwin.models.language.model_file import write_model_file
+from hydrotwin.models.language.provenance import of_earlier_fits
 from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
 from hydrotwin.records import Reading, Record, require
 from hydrotwin.records.between import between
@@ -96,7 +97,7 @@ def identify(
     fitted = [s for s in flat.outputs if not fit_outputs or s.name in fit_outputs]
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in fitted if s.name in record)], thing.name)
-    tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name)
+    tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name, interpolation_from(interpolation))
     with progress_bar() as bar:
         row = bar.add_task("identify", total=None)
 
@@ -146,7 +147,10 @@ def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:
         "made_by": f"hydrotwin {__version__}",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         **fit.flat.provenance,
-        "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
+        "recordings": [
+            *({"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles),
+            *of_earlier_fits(fit.flat.provenance),
+        ],
     }
 
 

@@ -15,6 +15,7 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Reading, Record, read_record, reading_of, require_once, turned_back
+from hydrotwin.records.between import shown_otherwise
 from hydrotwin.records.reading import check_constants
 from hydrotwin.records.sizes import far_from_usual
 
@@ -138,10 +139,11 @@ def check_set(reading: Reading | None, flat) -> None:
     check_constants(reading or Reading(), signals, parameters, "its value stands in the model or its file.")
 
 
-def tell_columns(records: Sequence[Record], signals: Sequence[Signal], model: str) -> None:
-    """Columns that the model does not know are named once, those that could not be used too, and those that are far
-    larger than it expects."""
-    for doubt in far_from_usual(records, signals):
+def tell_columns(records: Sequence[Record], signals: Sequence[Signal], model: str, said: Collection[str] = ()) -> None:
+    """Columns that the model does not know are named once, those that could not be used too, those that are far larger
+    than it expects, and those that do something else between their samples; ``said`` : of which a user says it."""
+    doubts = shown_otherwise([s for s in signals if s.name not in said], records)
+    for doubt in [*far_from_usual(records, signals), *doubts]:
         mark(err, "note", doubt)
     used = {s.name for s in signals}
     here = {name for r in records for name in (*r.signals, *r.refused)}

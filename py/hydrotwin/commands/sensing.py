@@ -110,7 +110,7 @@ def sensitivity(
     Sampling(samples, of)  # what is misspelt is told before anything runs
     profiled(thing.flat, [i.name for i in asked], profile_of)
     read = read_all(records, reading)
-    tell_columns(read, (*thing.flat.inputs, *thing.flat.outputs), thing.name)
+    tell_columns(read, (*thing.flat.inputs, *thing.flat.outputs), thing.name, between)
     with progress_bar() as bar:
         row = bar.add_task("sensitivity", total=None)
 

@@ -79,7 +79,8 @@ def _marked(page):
 
 def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
     """What the model file says about its making."""
-    from hydrotwin.identification.bands import SPREAD, Spread
+    from hydrotwin.identification.bands import Spread
+    from hydrotwin.models.language.provenance import SPREAD, of_earlier_fits
 
     roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
     fitted = getattr(found.fit_after, "covariance", None) is not None
@@ -87,7 +88,10 @@ def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
     return {
         "made_by": f"hydrotwin {__version__}",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
-        "recordings": [{"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles],
+        "recordings": [
+            *({"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles),
+            *of_earlier_fits(found.model.provenance),
+        ],
         **({"fmu": {"sha256": sha256_of(Path(found.model.fmu.path))}} if hasattr(found.model, "fmu") else {}),
         "verdict": found.verdict,
         "effects": steps,

@@ -10,8 +10,9 @@ import numpy as np
 from hydrotwin.models.language.amounts import amount
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import FlatModel
+from hydrotwin.models.language.provenance import SPREAD
 
-from ..bands import SPREAD, Spread
+from ..bands import Spread
 from ..fit import Finding, Fit
 from ..identify import processors
 from .answer import Sensitivity, StudiedRecord

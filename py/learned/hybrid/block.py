@@ -21,6 +21,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel, Signal, StateVariable
+from hydrotwin.models.language.provenance import made_from_rows
 from hydrotwin.simulation import Block, TrainingDomain, lower
 
 from ..block_file import LearnedBlock
@@ -41,6 +42,10 @@ class HybridBlock(Block):
     method: str = "explicit"
     substep: float = 0.0
     started_by: tuple[str, ...] = ()
+
+    def with_inputs(self, changes: Mapping[str, Mapping]) -> HybridBlock:
+        """The same hybrid whose inputs do something else between samples, in its model, too: its files hold that."""
+        return replace(super().with_inputs(changes), model=self.model.with_inputs(changes))
 
     @property
     def corrected(self) -> tuple[str, ...]:
@@ -98,7 +103,7 @@ def join(
         period=residual.period,
         domain=_domain(physical, residual),
         description=f"{flat.name} with a learned residual ({residual.description})",
-        provenance=dict(provenance or {}),
+        provenance=_made_of(flat, residual) if provenance is None else dict(provenance),
         model=model,
         residual=residual,
         method=method,
@@ -135,12 +140,18 @@ def alone(
         period=period,
         domain=domain,
         description=f"{flat.name} alone: a learned residual did not help",
-        provenance=dict(provenance or {}),
+        provenance=_made_of(flat) if provenance is None else dict(provenance),
         model=model,
         method=method,
         substep=float(substep or flat.step),
         started_by=tuple(started_by),
     )
+
+
+def _made_of(flat: FlatModel, residual: LearnedBlock | None = None) -> dict:
+    """Which recordings a hybrid follows that was put together by hand."""
+    rows = {"physics_trained_on": made_from_rows(flat.provenance)}
+    return rows | ({"trained_on": made_from_rows(residual.provenance)} if residual else {})
 
 
 def _read(physical: Block, y, started_by: Sequence[str]):

@@ -9,6 +9,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.provenance import made_from_rows
 from hydrotwin.records import Record, noise_floor
 from hydrotwin.simulation import prepare, simulate
 
@@ -92,7 +93,7 @@ def learn_hybrid(
     options = {"period": period, "lags": lags, "commands": [s.name for s in flat.inputs], **training}
     residual, told = _chosen(task, fit, judge, options, [on_period(r, period, flat.inputs) for r in select or records])
     training_runs = [on_period(r, period, flat.inputs) for r in records]
-    told |= {"physics_trained_on": _fitted_on(model)}  # its file does not say it: whoever judges the hybrid asks
+    told["physics_trained_on"] = made_from_rows(getattr(model, "provenance", {}))  # whoever judges the hybrid asks
     if residual is None:
         names = {"trained_on": named(records), **told}
         hybrid = alone(model, period, **task.frame, domain=training_box(records, flat.inputs))
@@ -166,12 +167,6 @@ def _method(flat, record: Record) -> dict:
     return {"method": "implicit" if settled.method == "implicit" else "explicit", "substep": settled.step}
 
 
-def _fitted_on(model) -> list[dict]:
-    """The recordings that a model was identified on, as its provenance names them."""
-    rows = (getattr(model, "provenance", None) or {}).get("recordings", ())
-    return [{key: r[key] for key in ("name", "sha256")} for r in rows if r.get("role") == "train" and r.get("sha256")]
-
-
 def _period(model, records: Sequence[Record], chosen: Sequence[Signal]) -> float:
     """The longest period [s] at which the model, its inputs held that long, runs as it does on the recording."""
     recorded, period = max(r.period for r in records), choose_period(records)
@@ -192,7 +187,7 @@ def _period(model, records: Sequence[Record], chosen: Sequence[Signal]) -> float
 
 
 def _lacking(physical, record: Record, chosen: Sequence[Signal], period: float) -> Record:
-    """Inputs, simulated outputs and residuals at the block's samples; the provenance stays that of the recording."""
+    """Inputs, simulated outputs and residuals at the block's samples; what else the recording says stays."""
     even = on_period(record, period, physical.inputs)
     run = simulate(physical, even)
     signals = {s.name: even[s.name] for s in physical.inputs}
@@ -201,7 +196,7 @@ def _lacking(physical, record: Record, chosen: Sequence[Signal], period: float) 
         signals[simulated_signal(s).name], units[simulated_signal(s).name] = run[s.name], s.unit
     for s in chosen:
         signals[residual_signal(s).name], units[residual_signal(s).name] = even[s.name] - run[s.name], s.unit
-    return Record(even.time, signals, units, record.name, source=record.source, digest=record.digest)
+    return replace(even, signals=signals, units=units, refused={})
 
 
 def _moving(flat, fit: Sequence[Record], features: Sequence[str] | None) -> list[Signal]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
+from hydrotwin.models.language.provenance import made_from_rows
 from hydrotwin.models.language.units import si_unit
 from hydrotwin.records import Record, all_unbroken
 from hydrotwin.simulation import lower
@@ -202,6 +203,7 @@ def _of_block(block, input, output, rate, settle, window, limits, others, start,
         order = np.argsort(levels)
         levels, rates = levels[order], rates[order]
     source = {"block": block.name, "steady_points": len(levels), "settle": settle, "others": dict(others)}
+    source |= {"trained_on": rows} if (rows := made_from_rows(block.provenance)) else {}
     asked = asked_signal(block.outputs[seen], rate)
     return Characteristic(block.inputs[driven], asked, levels, rates, 0.0, period or block.period, source)
 

@@ -57,10 +57,12 @@ class Job:
     """One structure and where its fit begins.
 
     starts : values by path, of which the one that costs least is followed. states : start states by name and recording,
-    where they are known. size : (ny,), SI, what a residual costs at first; None: a few percent of the spread.
+    where they are known. course : states (n,) by name and recording, in which windows may begin, too; a guess is used
+    where that costs less, and of states that are not in it. size : (ny,), SI, what a residual costs at first; None: a
+    few percent of the spread.
     iterations, seconds : the most that each stage takes, [1] and [s] of all. stages : of the windows' lengths, from
     which one to before which one a look goes; (0, 0) for one at whole recordings, None for a fit to them. threads :
-    over recordings.
+    over recordings. tells_course : whether a look tells its own.
     """
 
     flat: FlatModel
@@ -68,12 +70,14 @@ class Job:
     question: Question
     starts: tuple[Mapping[str, float], ...] = ({},)
     states: tuple[Mapping[str, float], ...] = ()
+    course: tuple[Mapping[str, np.ndarray], ...] = ()
     size: np.ndarray | None = None
     label: str = ""
     iterations: int = 15
     seconds: float = 60.0
     stages: tuple[int, int] | None = None
     threads: int = 1
+    tells_course: bool = False
 
     def beginning(self) -> Job:
         """The same, whose seconds count from now: ``seconds`` becomes a time of `time.process_time`."""
@@ -87,7 +91,8 @@ class Look:
     values : free parameters by path; squares, counts : (stages, ny), SI squared and [1], of what every length of
     windows left, the free start states taken from the numbers. size : (ny,), SI, what the last left. states : start
     states by name and recording. trail : values after the stages before. sigmas : of the values, by path, infinite
-    where nothing shows. left : of whole recordings, where it looked at them.
+    where nothing shows. left : of whole recordings, where it looked at them. course : states (n,) by name and
+    recording along the first length of windows, where it was asked for.
     """
 
     values: Mapping[str, float]
@@ -98,6 +103,7 @@ class Look:
     trail: tuple[Mapping[str, float], ...] = ()
     sigmas: Mapping[str, float] = field(default_factory=dict)
     left: Spectrum | None = None
+    course: tuple[Mapping[str, np.ndarray], ...] = ()
     seconds: float = 0.0
 
     @property
@@ -112,7 +118,8 @@ class Look:
         squares, counts = (np.concatenate([getattr(before, n), getattr(self, n)]) for n in ("squares", "counts"))
         trail = (*before.trail, before.values, *self.trail)
         seconds = before.seconds + self.seconds
-        return dataclasses.replace(self, squares=squares, counts=counts, trail=trail, seconds=seconds)
+        course = before.course or self.course
+        return dataclasses.replace(self, squares=squares, counts=counts, trail=trail, course=course, seconds=seconds)
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,7 @@ FEW = 8  # iterations of a look at whole recordings
 ROUGHLY = {"absolute": 2.0, "relative": 0.02, "stalled": 10.0}  # of such a look: candidates must be told apart
 ROUNDS = 5  # of weights and minimum
 LONGEST = 30  # iterations in all rounds together
+FAR = 3.0  # times the noise that a structure leaves of an output: precise runs tell it from none that leaves less
 COSTLY = 0.1  # of the seconds of a fit: what choosing its start may take
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
@@ -98,12 +99,14 @@ def precisely(job: Job, task: Task, found: Minimum) -> tuple[Task, Minimum, list
     """Weights and minimum in turns from where rough runs led: in rough runs, then in precise ones.
 
     A derivative across a kink is as good as the time at which the run meets it, and precise runs search for that
-    time: they are many times as dear. One that ran out of its seconds stays where rough runs led it.
+    time: they are many times as dear. One that ran out of its seconds stays where rough runs led it, and one that
+    leaves far more than noise: what is missing there is no error of runs.
     """
     task, found, left = settled(task, found, job.iterations, job.seconds)
-    if time.process_time() > job.seconds:
+    size = _size(task, left)
+    if time.process_time() > job.seconds or np.nanmax(size / task.noise) > FAR:
         return task, found, left
-    precise = task_of(job, job.starts[0], _size(task, left), moving_starts(job))
+    precise = task_of(job, job.starts[0], size, moving_starts(job))
     return settled(precise, found, job.iterations, job.seconds)
 
 

@@ -43,7 +43,7 @@ def _led(job: Job) -> Look:
     names = [s.name for s in job.flat.states]
     task = task_of(job, job.starts[0], size, names, rough=True)
     point, states = _cheapest(task, job)
-    squares, counts, trail = [], [], []
+    squares, counts, trail, course = [], [], [], ()
     for seconds in q.lengths[again:end]:
         shooting, z = _cut(undecided(task), point, seconds, states, q)
         if trail:
@@ -60,12 +60,16 @@ def _led(job: Job) -> Look:
                 break
         task, known = dataclasses.replace(task, weights=shooting.weights), shooting.trajectories(point, z)
         states = [np.where(np.isfinite(new), new, old) for new, old in zip(known, states, strict=True)]
+        course = course or tuple(dict(zip(names, x.T.copy(), strict=True)) for x in states)
         squares.append(left)
         counts.append(count)
         trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
     new, known_to = slice(begin - again, None), dict(zip(task.free.names, sigmas(found, task.free), strict=True))
-    return Look(trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]), known_to)
+    return Look(
+        trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]), known_to,
+        course=course if job.tells_course else (),
+    )  # fmt: skip
 
 
 def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, seconds: float) -> np.ndarray:
@@ -77,14 +81,30 @@ def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, second
 
 
 def _cheapest(task: Task, job: Job) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Scaled parameters of the start that costs least in the shortest windows, and state trajectories (n, nx)."""
+    """Scaled parameters of the start that costs least in the shortest windows, and state trajectories (n, nx).
+
+    Windows begin in states that a run guesses, or along the course that the job knows.
+    """
     points, seconds = [point_of(task.free, start) for start in job.starts], job.question.lengths[0]
     p = task.free.vector(points[0])
-    states = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
-    if len(points) > 1:
+    guess = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
+    courses = [guess, _along(job, guess)] if job.course else [guess]
+    if len(points) == len(courses) == 1:
+        return points[0], guess
+    found = []
+    for states in courses:
         shooting, z = _cut(task, points[0], seconds, states, job.question)
-        points.sort(key=lambda q: shooting.cost(q, z))
-    return points[0], states
+        found += [(shooting.cost(q, z), q, states) for q in points]
+    return min(found, key=lambda each: each[0])[1:]
+
+
+def _along(job: Job, guess: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """State trajectories (n, nx) along the course that a job knows; guessed are states that are not in it."""
+    names = [state.name for state in job.flat.states]
+    return [
+        np.column_stack([known.get(name, x[:, k]) for k, name in enumerate(names)])
+        for x, known in zip(guess, job.course, strict=True)
+    ]
 
 
 def _cut(

@@ -22,6 +22,7 @@ from .starts import different
 from .table import Entry, Table
 
 SAME = 0.02  # of what the base leaves in windows: promises that differ by less are alike
+NEAR = 5.0  # times the noise that the base leaves of whole recordings: it is near what it would be, and runs tell most
 LEFT = 1.5  # times the size that the longest windows, or a fit, leave: what leaves no more is near to them
 
 
@@ -38,7 +39,7 @@ class BaseFit:
         return self.table.entry()
 
     def identify(self) -> int:
-        """Lead the base through all windows and fit it; how many lengths of windows show what is missing.
+        """Lead the base through all windows and fit it; how many lengths of windows looks go through.
 
         Raises SolveError where it diverges.
         """
@@ -46,10 +47,22 @@ class BaseFit:
         starts = different(self.jobs.whole(base).starts if base.look else ({},))
         size, states = (base.look.size, base.look.states) if base.look else (None, ())
         near = self._fit(starts, size, states, first)
+        first = self.looks_through(first)
         if near and not first and not self.table.explained([base]):
             (found,) = self.run([self.jobs.further(base)], lowest_nearby)
             self.table.keep_better(base, found)
         return first
+
+    def looks_through(self, first: int) -> int:
+        """How many lengths of windows looks go through, of those that show what is missing; 0: whole recordings.
+
+        A base that leaves little of these is hardly bent: few steps from there tell effects apart. In short windows,
+        whose starts are free, little may be what another minimum of the starts leaves.
+        """
+        if not first or np.nanmax(self.entry.fitted.rmse / self.table.noise) > NEAR:
+            return first
+        self.further()
+        return 0
 
     def fit_from(self, known: Fitted, first: int) -> None:
         """Fit it to all recordings from where that to their beginnings ended. Raises SolveError where it diverges."""

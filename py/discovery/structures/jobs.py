@@ -72,14 +72,27 @@ class Jobs:
             limit = self.effort.look if entry.members else self.effort.seconds
             if not lengths and entry.members:
                 return self.glance(entry, self.extent)
-            starts = self.led_by_base(entry) or self.starts(entry)
-            return self.of(entry, starts, stages=(0, min(first, lengths)), seconds=limit)
+            return self.first_look(entry, min(first, lengths), limit)
         at = len(seen.squares)
         if at < lengths:
             end = at + 1 if entry.members else lengths
             limit = self.effort.look if entry.members else self.effort.seconds
-            return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit)
+            course = self.table.entry().look.course if entry.members else ()
+            return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit, course=course)
         return self.whole(entry)
+
+    def first_look(self, entry: Entry, end: int, limit: float) -> Job:
+        """The first look in windows before the length ``end``, from where the shortest led the base.
+
+        Effects have any of their sizes there, and windows begin in the states that the base's have found: what does
+        nothing beside the base leaves as much. There the base has hardly bent yet to hide what it lacks. The base
+        itself, and where nothing is known of it any structure, begins where its user put it.
+        """
+        look, settings = self.table.entry().look, {"stages": (0, end), "seconds": limit}
+        if not entry.members or not look or look.left is not None:
+            return self.of(entry, self.starts(entry), **settings, tells_course=not entry.members)
+        size = np.sqrt(look.squares[0] / np.maximum(look.counts[0], 1))
+        return self.of(entry, self._with_effects(entry, look.shortest), **settings, course=look.course, size=size)
 
     def from_its_start(self, entry: Entry, first: int) -> Job:
         """The first look in windows from where the user put the base, effects at usual sizes."""
@@ -90,7 +103,7 @@ class Jobs:
         """The base through all windows from where another structure began to explain them."""
         base, stages = self.table.entry(), (0, len(self.table.question.lengths))
         start = {n: v for n, v in other.look.shortest.items() if n in self.table.names(base)}
-        return self.of(base, [start], stages=stages)
+        return self.of(base, [start], stages=stages, tells_course=True)
 
     def glance(self, entry: Entry, question: Question | None) -> Job:
         """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them.
@@ -106,15 +119,6 @@ class Jobs:
             known, starts = part.fitted, [*self.beside(entry, part)[:2], *starts]
         settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": base.fitted.rmse}
         return dataclasses.replace(self.of(entry, starts, **settings), question=question or self.table.question)
-
-    def led_by_base(self, entry: Entry) -> list[dict[str, float]]:
-        """Starts of a structure in windows: from where the shortest led the base, effects at any of their sizes.
-
-        There the base has hardly bent yet to hide what it lacks, and what it does without the effect it has done.
-        """
-        look = self.table.entry().look
-        known = entry.members and look and look.left is None
-        return self._with_effects(entry, look.shortest) if known else []
 
     def _with_effects(self, entry: Entry, begin: Mapping[str, float]) -> list[dict[str, float]]:
         """Starts from values of the base, effects at expected and usual sizes, or at a tenth of the first of these."""

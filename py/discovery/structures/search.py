@@ -129,7 +129,7 @@ class Search:
             self._settle(entries)
         self.part = None
         if not self.table.explained():
-            self.first = self.base.lead()
+            self.first = self.base.looks_through(self.base.lead())
 
     def _through(self, most: int) -> list[Entry]:
         """Go through structures of up to ``most`` effects until one explains all: those that promise much."""

@@ -36,7 +36,7 @@ def record_comparison(
 
     Recordings by hash, with the role "fit" for those that the file's values follow; mean metrics by output and mode,
     SI; criteria with their results and margins; whether the runs were accurate; versions and date. The same question on
-    the same recordings replaces the earlier answer. Evidence of other values is dropped.
+    the same recordings, asked in the same way, replaces the earlier answer. Evidence of other values is dropped.
 
     accepted : the judged criteria, as `acceptance` gives them. model : the name of the file's model in the comparison;
     by default the judged one, else the only one with the file's values. asked : how recordings were read and runs
@@ -158,4 +158,5 @@ def _metrics(score: Score, role: str) -> dict:
 def _criterion(one) -> dict:
     numbers = {key: float(getattr(one, key)) for key in ("value", "low", "high", "margin")}
     worst = {"worst": one.criterion.output} if one.criterion.overall else {}
-    return {"text": one.criterion.text, "passed": one.passed, **numbers, **worst}
+    caution = {"caution": one.caution} if one.caution else {}
+    return {"text": one.criterion.text, "passed": one.passed, **numbers, **worst, **caution}

@@ -14,7 +14,7 @@ from hydrotwin.models.language.model_file import ModelFile, add_evidence, read_m
 from hydrotwin.models.language.provenance import made_from
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import Record
-from hydrotwin.records.reading import reading_told
+from hydrotwin.records.reading import beside, reading_told
 
 from .acceptance import Acceptance
 from .comparison import Comparison, Entrant, Score
@@ -115,10 +115,13 @@ def _evidence(
 
 
 def _recording(record: Record, role: str, file: ModelFile) -> dict:
-    """A row of ``recordings``, with where the file was, from the folder of the model file."""
+    """A row of ``recordings``, with where the file was, from the folder of the model file, and what ``import.toml``
+    beside it said of how it is read."""
     row = {"name": record.name, "sha256": record.digest or "", "role": role}
     if record.source and Path(record.source).is_file():
         row["file"] = printable(_way(Path(record.source).resolve(), Path(file.path).resolve().parent))
+        if near := reading_told(beside(Path(record.source))[0]):
+            row["import"] = near
     return row | ({"tags": dict(record.tags)} if record.tags else {})
 
 

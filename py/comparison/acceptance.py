@@ -136,6 +136,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         lacking=values.lacking(holding, about.than if np.isfinite(one.value) else model),
         doubt=_doubt(comparison, model, about),
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
+        skipped=values.lacking(holding, model) if METRICS[about.metric].at_times and np.isfinite(one.value) else (),
         seen=_seen(comparison, model, holding),
         trained=_trained(comparison, model, holding),
         mode=comparison.modes[0],

@@ -63,7 +63,8 @@ class Judged:
     it was judged on and that the model was made from. flat : that the output hardly moves against its size, which the
     metric counts by, in words; "" where it moves. holes : where runs began anew behind a hole, in words; beside :
     samples that were not run, for they lie in a hole or in a part that is too short. mode : in which it was judged.
-    trained : recordings it was judged on that were named as what the models were made from.
+    trained : recordings it was judged on that were named as what the models were made from. skipped : recordings that
+    have no number of a metric that is the mean of the others.
     """
 
     criterion: Criterion
@@ -85,6 +86,7 @@ class Judged:
     beside: str = ""
     mode: str = FREE_RUN
     trained: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
 
     @property
     def which(self) -> str:
@@ -126,6 +128,8 @@ class Judged:
         if self.without:
             holds = "holds" if len(self.without) == 1 else "hold"
             told.append(f"not judged on {some_of(self.without)}, which {holds} no {one.output}")
+        if self.skipped:
+            told.append(f"not judged on {some_of(self.skipped)}, where {one.metric} is not defined")
         if self.seen:
             told.append(f"judged on {some_of(self.seen)}, which the model was made from")
         if self.trained:

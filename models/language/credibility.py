@@ -96,8 +96,8 @@ class Evidence:
     def same_question(self, other: Evidence) -> bool:
         """Whether it judged the same on the same recordings in the same way: the later one replaces the earlier.
 
-        One step ahead, read in another scale, under other tags or started otherwise a criterion is another question: a
-        missed one stays beside it.
+        One step ahead, read in another scale, under other tags, started otherwise or beside another model a criterion
+        is another question: a missed one stays beside it.
         """
         return self._question == other._question
 
@@ -107,7 +107,7 @@ class Evidence:
         asked = self.facts.get("asked")
         how = dict(asked) if isinstance(asked, Mapping) else {}
         how |= {"modes": _listed(how.get("modes"))[:1]}  # the first is the one that criteria are about
-        return self.by, on, frozenset(row["text"] for row in self.criteria), _digest(toml_values(how))
+        return self.by, on, frozenset(map(_asked, self.criteria)), _digest(toml_values(how))
 
     def as_data(self) -> dict:
         """As data for TOML and JSON, with its own hash."""
@@ -215,6 +215,11 @@ def _values(node: object) -> object:
 
 def _listed(value: object) -> list:
     return value if isinstance(value, list) else []
+
+
+def _asked(row: Mapping) -> tuple[str, ...]:
+    """The words of a criterion, and its bounds: another model or an earlier comparison may have set them."""
+    return str(row["text"]), *(f"{float(row.get(key, math.nan)):.6g}" for key in ("low", "high"))
 
 
 def _aside(row: Mapping) -> str:

@@ -106,6 +106,16 @@ def test_a_missed_criterion_is_not_replaced_by_the_same_words_judged_otherwise(f
     assert hydrotwin("check", file).code == 1
 
 
+def test_a_missed_criterion_beside_another_model_is_not_replaced_by_one_beside_a_worse_one(file, recordings):
+    record, model = ht.read_record(recordings / "validate_1.csv"), ht.load(str(file))
+    for gain in ({}, {"motor.gain": 60.0}):
+        other = PhysicalContender(model, "other", parameters=gain)
+        found = compare([model, other], [record], modes=("free run",), outputs=["arm_angle"], repeats=0)
+        judged_so = acceptance(found, Wanted(("arm_angle not worse than other by -50 %",)))
+        ht.record_comparison(file, found, judged_so)
+    assert [e.passed for e in ht.read_model_file(file).credibility.evidence] == [None, False, True]
+
+
 def test_what_to_know_of_a_criterion_stays_in_the_record(file, recordings):
     judged(file, recordings, "--accept", LOOSE, on=("train_1",))
     one = ht.read_model_file(file).credibility.evidence[-1]

@@ -50,8 +50,8 @@ class Evidence:
 
     contents : hash of the model it is of. recordings : rows ``name``, ``sha256`` and ``role``, fit or judge.
     metrics : rows ``output``, ``unit``, ``role``, ``mode`` and numbers, SI. criteria : rows ``text``, ``passed``,
-    ``value``, ``low``, ``high``, ``margin``. versions : of hydrotwin and Python. accuracy : of the runs.
-    facts : whatever else belongs to it.
+    ``value``, ``low``, ``high``, ``margin``, and ``caution``, what to know before it is relied on. versions : of
+    hydrotwin and Python. accuracy : of the runs. facts : whatever else belongs to it.
     """
 
     by: str
@@ -86,7 +86,7 @@ class Evidence:
         if self.criteria:
             missed = [row for row in self.criteria if not row["passed"]]
             rows = missed or self.criteria
-            words = [f"“{row['text']}”{_margin(row)}" for row in rows[:SHOWN]]
+            words = [f"“{row['text']}”{_aside(row)}" for row in rows[:SHOWN]]
             more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
             return f"{'FAIL' if missed else 'PASS'}, {'missed' if missed else 'held'}: {'; '.join(words)}{more}"
         judged = sorted(self.metrics, key=lambda m: m["role"] != JUDGE)
@@ -94,13 +94,20 @@ class Evidence:
         return "no criteria" + (f"; {'; '.join(rows[:4])}" if rows else "")
 
     def same_question(self, other: Evidence) -> bool:
-        """Whether it judged the same on the same recordings, so that the later one replaces the earlier."""
+        """Whether it judged the same on the same recordings in the same way: the later one replaces the earlier.
+
+        One step ahead, read in another scale, under other tags, started otherwise or beside another model a criterion
+        is another question: a missed one stays beside it.
+        """
         return self._question == other._question
 
     @property
     def _question(self) -> tuple:
-        on = frozenset((r["sha256"] or r["name"], r["role"]) for r in self.recordings)
-        return self.by, on, frozenset(row["text"] for row in self.criteria)
+        on = frozenset(_digest(toml_values({k: v for k, v in r.items() if k != "file"})) for r in self.recordings)
+        asked = self.facts.get("asked")
+        how = dict(asked) if isinstance(asked, Mapping) else {}
+        how |= {"modes": _listed(how.get("modes"))[:1]}  # the first is the one that criteria are about
+        return self.by, on, frozenset(map(_asked, self.criteria)), _digest(toml_values(how))
 
     def as_data(self) -> dict:
         """As data for TOML and JSON, with its own hash."""
@@ -210,11 +217,18 @@ def _listed(value: object) -> list:
     return value if isinstance(value, list) else []
 
 
-def _margin(row: Mapping) -> str:
-    """How far inside or outside of its bound a criterion is, of an overall one which output; else nothing."""
+def _asked(row: Mapping) -> tuple[str, ...]:
+    """The words of a criterion, and its bounds: another model or an earlier comparison may have set them."""
+    return str(row["text"]), *(f"{float(row.get(key, math.nan)):.6g}" for key in ("low", "high"))
+
+
+def _aside(row: Mapping) -> str:
+    """How far inside or outside of its bound a criterion is, of an overall one which output, and what to know before it
+    is relied on; else nothing."""
     told = [str(row["worst"])] if row.get("worst") else []
     share = 100 * float(row["margin"])
     told += [f"{share:{'+.2g' if abs(share) < 100 else '+.0f'}} %"] if math.isfinite(share) else []
+    told += [str(row["caution"])] if row.get("caution") else []
     return f" ({', '.join(told)})" if told else ""
 
 

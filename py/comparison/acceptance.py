@@ -136,7 +136,10 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         lacking=values.lacking(holding, about.than if np.isfinite(one.value) else model),
         doubt=_doubt(comparison, model, about),
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
+        skipped=values.lacking(holding, model) if METRICS[about.metric].at_times and np.isfinite(one.value) else (),
         seen=_seen(comparison, model, holding),
+        trained=_trained(comparison, model, holding),
+        mode=comparison.modes[0],
         flat=_flat(comparison, about, holding),
         holes=holes_of(judged_on, comparison.entrants),
         beside=beside_holes(judged_on, comparison.entrants),
@@ -173,6 +176,14 @@ def _seen(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple
     """Recordings that a model was fitted to or trained on: that it is good there, it has from them."""
     known = frozenset().union(*(made_from(e.provenance) for e in comparison.entrants if e.name == model))
     return tuple(r.name for r in comparison.records if r.name in holding and comparison.hashes(r) & known)
+
+
+def _trained(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
+    """Recordings that were named as what the models were made from, beside those of which the model itself says so."""
+    named = {r.digest for r in comparison.train_records if r.digest}
+    own = _seen(comparison, model, holding)
+    rest = [r for r in comparison.records if r.name in holding and r.name not in own]
+    return tuple(r.name for r in rest if comparison.hashes(r) & named)
 
 
 def _started_otherwise(comparison: Comparison, model: str, than: str, holding: tuple[str, ...]) -> tuple[str, ...]:

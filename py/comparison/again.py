@@ -134,6 +134,7 @@ class _Search:
             looked = ", ".join(map(str, self.folders))
             below = f", nor below {looked}" if looked else ". Say where recordings are: --recordings FOLDER"
             raise DataError(f"no file has the SHA-256 of {row['name']}: {where}{below}")
+        reading = reading.over(import_from(row.get("import", {}), "record"))  # what stood beside it then
         return replace(read_record(path, reading), name=row["name"], tags=dict(row.get("tags", {})))
 
     def _likely(self, row: Mapping) -> Iterator[Path]:

@@ -17,7 +17,7 @@ from .comparison import FREE_RUN, Comparison, Entrant
 from .criteria import Criterion, some_of
 from .earlier import Earlier, earlier
 from .meaning import criteria_of
-from .metric import METRICS, SCORED
+from .metric import ERRORS, METRICS, SCORED
 from .rates import rate_signal
 from .tags import each_tag, groups, of_group
 
@@ -227,7 +227,7 @@ def _check_file(one: Criterion, found: Earlier, asked: Asked, model: str) -> Non
     if one.metric not in SCORED:
         raise DeclarationError(
             f"accept: '{one.text}': an earlier comparison does not hold {one.metric}. Compare one of "
-            f"{', '.join(SCORED)}."
+            f"{', '.join(name for name in ERRORS if name in SCORED)}."
         )
     found.check_recordings(asked.records)
     found.check_key(one.text, (model, one.output, asked.mode))

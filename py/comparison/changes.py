@@ -48,11 +48,12 @@ class Change:
 
 @dataclass(frozen=True)
 class Before:
-    """An earlier comparison: means, scores of each recording by its name then, and these names by hash."""
+    """An earlier comparison: means, scores of each recording by its name then, these names by hash, and its models."""
 
     means: Mapping[Key, Mapping]
     scores: Mapping[Key, Mapping[str, Mapping]]
     names: Mapping[str, str]
+    models: frozenset[str] = frozenset()
 
     def changes(self, comparison: Comparison) -> Iterator[Change]:
         """Of every model, output and mode of both, those first that have a mean now."""
@@ -61,12 +62,16 @@ class Before:
         for s in comparison.scores:
             now.setdefault((s.model, s.output, s.mode), {})[then_called[s.record]] = s
         units = {s.name: s.unit for s in comparison.outputs}
+        failed = self.models - {model for model, *_ in self.means}  # on all: what they score now is new
         asked = [k for k in self.means if k[0] in comparison.models and k[1] in units and k[2] in comparison.modes]
+        asked += [k for k in now if k[0] in failed]
         for key in sorted(asked, key=lambda k: list(now).index(k) if k in now else len(now)):
             yield self._change(key, now.get(key, {}), units[key[1]])
 
     def _change(self, key: Key, now: Mapping[str, Score], unit: str) -> Change:
-        mean, then = self.means[key], self.scores.get(key, {})
+        mean, then = self.means.get(key), self.scores.get(key, {})
+        if mean is None:
+            return Change(*key, NAN, _mean([s.rmse for s in now.values()]), unit, won=tuple(now))
         if not then:  # of means alone
             return self._of_means(key, now, unit)
         both = [name for name in now if name in then]

@@ -7,14 +7,16 @@ compared output, and the worst of them counts: see `worst`. How they are written
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from .comparison import mean_known
+from .comparison import FREE_RUN, mean_known
 from .metric import METRICS, PLAIN, SHARE
 
+EQUAL = 1e-9  # relative: nearer to its bound a number lies on it: 95.2 % are no 0.952 to the last digit
 FEWEST = 50  # samples that a criterion should be judged on, as many as a start is estimated from; fewer are told
 
 
@@ -60,7 +62,9 @@ class Judged:
     that it is about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that
     it was judged on and that the model was made from. flat : that the output hardly moves against its size, which the
     metric counts by, in words; "" where it moves. holes : where runs began anew behind a hole, in words; beside :
-    samples that were not run, for they lie in a hole or in a part that is too short.
+    samples that were not run, for they lie in a hole or in a part that is too short. mode : in which it was judged.
+    trained : recordings it was judged on that were named as what the models were made from. skipped : recordings that
+    have no number of a metric that is the mean of the others.
     """
 
     criterion: Criterion
@@ -80,6 +84,9 @@ class Judged:
     flat: str = ""
     holes: str = ""
     beside: str = ""
+    mode: str = FREE_RUN
+    trained: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
 
     @property
     def which(self) -> str:
@@ -94,12 +101,12 @@ class Judged:
     @property
     def passed(self) -> bool:
         inside = self.low <= self.value <= self.high
-        return bool(np.isfinite(self.value) and inside and not (self.criterion.strict and self.on_bound))
+        return bool(np.isfinite(self.value) and (not self.criterion.strict if self.on_bound else inside))
 
     @property
     def on_bound(self) -> bool:
-        """Whether the number is a bound, to the last digit."""
-        return self.value in (self.low, self.high)
+        """Whether the number is a bound, as near as the same number in other units is."""
+        return any(math.isclose(self.value, bound, rel_tol=EQUAL) for bound in (self.low, self.high))
 
     @property
     def undefined(self) -> str:
@@ -116,11 +123,17 @@ class Judged:
     def caution(self) -> str:
         """What to know before it is relied on; empty where there is nothing."""
         one, told = self.criterion, [self.left_out] if self.left_out else []
+        if self.mode != FREE_RUN:
+            told.append("judged one step ahead, and not in a free run")
         if self.without:
             holds = "holds" if len(self.without) == 1 else "hold"
             told.append(f"not judged on {some_of(self.without)}, which {holds} no {one.output}")
+        if self.skipped:
+            told.append(f"not judged on {some_of(self.skipped)}, where {one.metric} is not defined")
         if self.seen:
             told.append(f"judged on {some_of(self.seen)}, which the model was made from")
+        if self.trained:
+            told.append(f"judged on {some_of(self.trained)}, named as what the models were made from, too")
         if self.holes:
             told.append(f"judged in parts, with a start of its own behind every hole: {self.holes}")
         if self.beside:
@@ -138,6 +151,8 @@ class Judged:
     def margin(self) -> float:
         if not np.isfinite(self.value):
             return -np.inf
+        if self.on_bound:
+            return 0.0
         sides = [(self.value - self.low, self.low), (self.high - self.value, self.high)]
         found = [_share_of(room, abs(bound) or self._size) for room, bound in sides if np.isfinite(bound)]
         return min(found) if found else float("nan" if self.passed else "-inf")

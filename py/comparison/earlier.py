@@ -28,8 +28,8 @@ class Earlier:
     recordings : their names by hash, where they have one. scores : empty where the file has none of this variant.
     started : models whose start was estimated. read : of each recording by name how many samples it had, and what was
     read of its signals. between : what inputs did between their samples, and how late their columns were taken [s], by
-    model and input. variants : what each
-    changed; none for a comparison without.
+    model and input. variants : what each changed; none for a comparison without. models : all of it, those too that
+    failed everywhere.
     """
 
     path: Path
@@ -40,6 +40,7 @@ class Earlier:
     read: Mapping[str, Mapping] = field(default_factory=dict)
     between: Mapping[tuple[str, str], tuple[str, float]] = field(default_factory=dict)
     variants: Mapping[str, Mapping] = field(default_factory=dict)
+    models: frozenset[str] = frozenset()
 
     def otherwise(self, comparison: Comparison) -> tuple[str, ...]:
         """What else than the models is not as it was, in sentences: a change may come from that."""
@@ -145,8 +146,8 @@ class Earlier:
 
     def against(self, comparison: Comparison) -> tuple[tuple[Change, ...], tuple[str, ...], tuple[str, ...]]:
         """Changes of what both have, models that are new, and models that are gone."""
-        before = {model for model, *_ in self.means}
-        changes = tuple(Before(self.means, self.scores, self.recordings).changes(comparison))
+        before = self.models | {model for model, *_ in self.means}
+        changes = tuple(Before(self.means, self.scores, self.recordings, self.models).changes(comparison))
         new = tuple(m for m in comparison.models if m not in before)
         return changes, new, tuple(sorted(before - set(comparison.models)))
 
@@ -173,6 +174,7 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
         started = frozenset(s["model"] for s in told.get("starts", ()) if s.get("states"))
         read = {r["name"]: dict(r) for r in judged}
         variants = {v["name"]: dict(v["changes"]) for v in told.get("variants", ())}
+        models = frozenset(m["name"] for m in told.get("models", ()) if not variant or variant in variants)
         between = {(m["name"], name): (row["interpolation"], row.get("shift", 0.0)) for m in told.get("models", ())
                    for name, row in m.get("between_samples", {}).items() if "interpolation" in row}  # fmt: skip
     except OSError as error:
@@ -188,7 +190,7 @@ def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
         scores = _of_the_same(means, earlier(own))
     if variant:  # the file tells these of the base
         started, read, between = frozenset(), {}, {}
-    return Earlier(path, means, recordings, scores, started, read, between, variants)
+    return Earlier(path, means, recordings, scores, started, read, between, variants, models)
 
 
 def _taken(interpolation: str, shift: float) -> str:

@@ -14,7 +14,7 @@ from hydrotwin.models.language.model_file import ModelFile, add_evidence, read_m
 from hydrotwin.models.language.provenance import made_from
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import Record
-from hydrotwin.records.reading import reading_told
+from hydrotwin.records.reading import beside, reading_told
 
 from .acceptance import Acceptance
 from .comparison import Comparison, Entrant, Score
@@ -36,7 +36,7 @@ def record_comparison(
 
     Recordings by hash, with the role "fit" for those that the file's values follow; mean metrics by output and mode,
     SI; criteria with their results and margins; whether the runs were accurate; versions and date. The same question on
-    the same recordings replaces the earlier answer. Evidence of other values is dropped.
+    the same recordings, asked in the same way, replaces the earlier answer. Evidence of other values is dropped.
 
     accepted : the judged criteria, as `acceptance` gives them. model : the name of the file's model in the comparison;
     by default the judged one, else the only one with the file's values. asked : how recordings were read and runs
@@ -115,10 +115,13 @@ def _evidence(
 
 
 def _recording(record: Record, role: str, file: ModelFile) -> dict:
-    """A row of ``recordings``, with where the file was, from the folder of the model file."""
+    """A row of ``recordings``, with where the file was, from the folder of the model file, and what ``import.toml``
+    beside it said of how it is read."""
     row = {"name": record.name, "sha256": record.digest or "", "role": role}
     if record.source and Path(record.source).is_file():
         row["file"] = printable(_way(Path(record.source).resolve(), Path(file.path).resolve().parent))
+        if near := reading_told(beside(Path(record.source))[0]):
+            row["import"] = near
     return row | ({"tags": dict(record.tags)} if record.tags else {})
 
 
@@ -158,4 +161,5 @@ def _metrics(score: Score, role: str) -> dict:
 def _criterion(one) -> dict:
     numbers = {key: float(getattr(one, key)) for key in ("value", "low", "high", "margin")}
     worst = {"worst": one.criterion.output} if one.criterion.overall else {}
-    return {"text": one.criterion.text, "passed": one.passed, **numbers, **worst}
+    caution = {"caution": one.caution} if one.caution else {}
+    return {"text": one.criterion.text, "passed": one.passed, **numbers, **worst, **caution}

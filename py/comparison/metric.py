@@ -65,10 +65,12 @@ METRICS: Mapping[str, Metric] = {
         sized=True,
     ),
     "settling": Metric(  # how much longer or shorter it takes to settle
-        TIME, "settling", "{output} never comes to rest after the inputs moved, and rest", sized=True, at_times=True
+        TIME, "settling", "{output} never comes to rest after the inputs moved, and rest, or lacks samples there",
+        sized=True, at_times=True,
     ),
     "steady": Metric(  # the mean error of every rest of inputs and measurement, in size
-        OF_OUTPUT, "steady", "the inputs and {output} never rest together", sized=True, at_times=True
+        OF_OUTPUT, "steady", "the inputs and {output} never rest together, or it lacks samples where they do",
+        sized=True, at_times=True,
     ),
     "vv20": Metric(PLAIN, "vv20", _NO_BAND, of_band=True),  # RMSE over the validation uncertainty of ASME V&V 20
 }  # fmt: skip

@@ -277,6 +277,11 @@ def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Se
         what = "contenders" if not contenders else "recordings"
         raise DataError(f"compare: nothing to compare (got 0 {what}). Give at least one model and one recording.")
     require_own_names(contenders)
+    check_modes(modes)
+
+
+def check_modes(modes: Sequence[str]) -> None:
+    """Raises DeclarationError for a mode that there is none of."""
     for mode in modes:
         if mode not in MODES:
             raise DeclarationError(f"compare: no mode '{mode}'. {nearest(mode, MODES)}")

@@ -20,7 +20,7 @@ from .comparison import Comparison
 from .contender import Contender, HoldLast, as_contender
 from .loop import in_loop
 from .rates import rate_signal
-from .run import compare, entrant, measured_in, require_own_names, wanted_of
+from .run import check_modes, compare, entrant, measured_in, require_own_names, wanted_of
 from .scenario import ModelEntry, Scenario
 from .tags import check_tags
 from .variants import Variant
@@ -115,6 +115,7 @@ def read_all(
 
 def check_asked(scenario: Scenario, contenders: Sequence[Contender], records: Sequence[Record]) -> None:
     """Refuse before a long run criteria that could not be judged after it, and constants that nothing reads."""
+    check_modes(scenario.modes)
     known = {s.name for c in contenders for s in (*c.inputs, *c.outputs)} | scenario.tags.read
     settable = {p.name for c in contenders for p in getattr(c, "parameters", None) or ()}
     check_constants(scenario.reading, known, settable, SET_SO)

@@ -48,14 +48,19 @@ class Moved:
         """How likely errors (n,), NaN where nothing was measured, are at least as far off where nothing is missing.
 
         quantum : step in which the output was recorded; 0 where there is none. The smaller of two probabilities,
-        doubled: along what is not known, and beside it. NaN where there is no error.
+        doubled: along what is not known, and beside it. NaN where there is no error, or what is not known is beyond
+        numbers.
         """
         known = np.isfinite(error)
         if not known.any() or not self.left > 0.0:
             return float("nan")
         beyond = np.sign(error[known]) * np.maximum(np.abs(error[known]) - quantum / 2.0, 0.0)
         z, L = beyond / self.left, self.root[known] / self.left
-        squares, directions = np.linalg.eigh(L.T @ L)
+        with np.errstate(over="ignore", invalid="ignore"):
+            gram = L.T @ L
+        if not np.isfinite(gram).all():
+            return float("nan")
+        squares, directions = np.linalg.eigh(gram)
         seen = squares > LEAST_SEEN**2
         unit = L @ (directions[:, seen] / np.sqrt(squares[seen]))
         along = unit.T @ z

@@ -103,7 +103,13 @@ MODELS = {"good": Toy("good"), "speed": Toy("speed", outputs=(SPEED,)), "angle":
         ("arm_angle.rate.rmse < 1 deg/s", "free run only", {"modes": ("one step",), "rates": ("arm_angle",)}),
         ("bare: arm_angle.rmse < 1 deg", "none of the recordings it is about holds arm_angle", {}),
         ("arm_angle.rmse < 1 dge", "arm_angle.rmse < 1 dge.*Did you mean 'deg'", {}),
-        ("arm_angle.nrmse not worse than compare.json", "does not hold nrmse", {}),
+        (
+            "arm_angle.nrmse not worse than compare.json",
+            "hold nrmse. Compare one of rmse, mae, max, bias, theil, lag",
+            {},
+        ),
+        ("arm_angle.rmse < 1 deg", "no mode 'one_step'. Did you mean 'one step'", {"modes": ("one_step",)}),
+        ("arm_angle.coverage > 0.9", "no mode 'one_step'. Did you mean 'one step'", {"modes": ("one_step",)}),
         ("arm_angle not worse than compare.json", "no arm_angle of 'angle' in free run", {}),
     ],
 )

@@ -158,6 +158,17 @@ def test_a_criterion_passes_or_fails_by_its_margin():
     assert not nothing.passed and not unknown.passed and unknown.margin == -np.inf
 
 
+@pytest.mark.parametrize("tenths", [7, 903, 952, 979])
+def test_a_number_on_its_bound_is_there_in_whatever_unit_it_is_written(tenths):
+    """952 of 1000 samples, and 95.2 %: the last digit of a double had missed it by 1.2e-14 %."""
+    bound = f"{tenths / 10:g}"
+    for sign, holds in ((">=", True), ("<=", True), (">", False), ("<", False)):
+        one = judge(understood(f"arm_angle.coverage {sign} {bound} %"), found({("coverage", ""): tenths / 1000}))
+        assert (one.passed, one.margin, one.on_bound) == (holds, 0.0, True)
+    beside = judge(understood(f"arm_angle.coverage >= {bound} %"), found({("coverage", ""): tenths / 1000 - 1e-6}))
+    assert not beside.passed and beside.margin < 0.0
+
+
 def test_a_bias_counts_by_its_size_and_another_model_by_its_error():
     assert not judge(understood("oil.bias < 1 K"), found({("bias", ""): -2.0})).passed
     level = judge(

@@ -70,6 +70,18 @@ def test_a_model_that_no_longer_fails_is_better_unless_it_is_worse_elsewhere(who
     assert any("As before" in text for text in lines_of(same))
 
 
+def test_a_model_that_failed_on_all_is_not_new(good, tmp_path):
+    """It was told as new against a comparison that it had taken part in."""
+    broken = compare([Toy("m"), Toy("n", kind="broken", fails_on="warm")], RECORDS[:1], repeats=0, modes=("free run",))
+    before = Wanted(against=written(broken, tmp_path))
+    still = acceptance(broken, before)
+    assert not still.new and not any("New against" in text for text in lines_of(still))
+    mended = acceptance(compared(Toy("m"), Toy("n"), records=RECORDS[:1]), before)
+    assert not mended.new and {(c.model, c.output) for c in mended.changes if c.better} == {("n", o) for o in OUTPUTS}
+    assert any("better than before: n" in text and "no score before on warm" in text for text in lines_of(mended))
+    assert acceptance(compared(Toy("m"), records=RECORDS[:1]), before).gone == ("n",)
+
+
 def test_a_model_that_fails_on_all_is_worse(good, tmp_path):
     warm = compared(Toy("m"), records=RECORDS[:1])
     now = compared(Toy("m", fails_on="warm"), records=RECORDS[:1])

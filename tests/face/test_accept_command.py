@@ -27,6 +27,17 @@ def test_a_server_does_not_read_an_old_pass_where_no_model_could_run(recordings,
     assert answer.code == 1 and "out is of an earlier run" in answer.said.replace("\n", " ")
 
 
+def test_a_run_that_ends_without_a_verdict_leaves_none_of_an_earlier_one(recordings, tmp_path):
+    """A column that is lost tonight is exit code 2; the server had read last night's PASS."""
+    file = tmp_path / "criteria.xml"
+    words = ("compare", "--model", "cehA", *FREE, "--accept", "arm_angle.rmse < 90 deg", "--out", tmp_path / "out")
+    assert hydrotwin(*words, "--validate", recordings / "validate_1.csv", "--junit", file).code == 0 and file.exists()
+    lost = tmp_path / "lost.csv"
+    text = (recordings / "validate_1.csv").read_text(encoding="utf-8")
+    lost.write_text(text.replace("command", "valve", 1), encoding="utf-8")
+    assert hydrotwin(*words, "--validate", lost, "--junit", file).code == 2 and not file.exists()
+
+
 def test_a_file_of_a_criterion_is_looked_for_where_the_command_is_given(recordings, tmp_path, monkeypatch):
     (tmp_path / "there").mkdir()
     scenario = tmp_path / "there" / "s.toml"

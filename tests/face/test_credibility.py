@@ -39,10 +39,10 @@ def file(identified, tmp_path) -> Path:
     return path
 
 
-def judged(file: Path, recordings: Path, *words, on=("validate_1",)):
+def judged(file: Path, recordings: Path, *words, on=("validate_1",), mode="free run"):
     """`hydrotwin compare` of the file with --record."""
     files = [word for name in on for word in ("--validate", recordings / f"{name}.csv")]
-    options = ("--mode", "free run", "--output", "arm_angle", "--out", file.parent / "report", "--record", file)
+    options = ("--mode", mode, "--output", "arm_angle", "--out", file.parent / "report", "--record", file)
     return hydrotwin("compare", "--model", file, *files, *options, *words)
 
 
@@ -89,6 +89,38 @@ def test_the_same_question_is_kept_once_and_another_one_beside_it(file, recordin
         judged(file, recordings, "--accept", criterion)
     evidence = ht.read_model_file(file).credibility.evidence
     assert [(e.by, e.passed) for e in evidence] == [("identify", None), ("compare", True), ("compare", False)]
+
+
+def test_a_missed_criterion_is_not_replaced_by_the_same_words_judged_otherwise(file, recordings):
+    """One step ahead, in another scale, or under another tag it is another question: it had taken the place of a FAIL,
+    and check had ended with 0."""
+    tight = "arm_angle.rmse < 1e-6 deg"
+    judged(file, recordings, "--accept", tight)
+    judged(file, recordings, "--accept", tight, mode="one step")
+    for words in (("--scale", "arm_angle=1e-9 rad/rad"), ("--tags", "validate_{run}")):
+        judged(file, recordings, "--accept", tight, *words)
+    evidence = [e for e in ht.read_model_file(file).credibility.evidence if e.by == "compare"]
+    assert len(evidence) == 4 and evidence[0].passed is False
+    judged(file, recordings, "--accept", tight, "--tags", "validate_{run}")
+    assert len([e for e in ht.read_model_file(file).credibility.evidence if e.by == "compare"]) == 4
+    assert hydrotwin("check", file).code == 1
+
+
+def test_a_missed_criterion_beside_another_model_is_not_replaced_by_one_beside_a_worse_one(file, recordings):
+    record, model = ht.read_record(recordings / "validate_1.csv"), ht.load(str(file))
+    for gain in ({}, {"motor.gain": 60.0}):
+        other = PhysicalContender(model, "other", parameters=gain)
+        found = compare([model, other], [record], modes=("free run",), outputs=["arm_angle"], repeats=0)
+        judged_so = acceptance(found, Wanted(("arm_angle not worse than other by -50 %",)))
+        ht.record_comparison(file, found, judged_so)
+    assert [e.passed for e in ht.read_model_file(file).credibility.evidence] == [None, False, True]
+
+
+def test_what_to_know_of_a_criterion_stays_in_the_record(file, recordings):
+    judged(file, recordings, "--accept", LOOSE, on=("train_1",))
+    one = ht.read_model_file(file).credibility.evidence[-1]
+    assert "judged on train_1, which the model was made from" in one.criteria[0]["caution"]
+    assert "judged on train_1, which the model was made from" in hydrotwin("check", file).said.replace("\n", " ")
 
 
 def test_edited_values_are_told_and_recording_anew_drops_what_no_longer_holds(file, recordings):

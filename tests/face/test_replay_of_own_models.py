@@ -89,3 +89,23 @@ def test_the_record_of_ones_own_model_is_made_again_where_its_code_is_named(fold
 def test_values_that_are_nowhere_are_refused(folder):
     answer = hydrotwin("check", f"{folder}/rig.py:slide@{folder}/n.toml", "--replay")
     assert answer.code == 2 and "Did you mean 'm.toml'" in answer.said
+
+
+def test_what_stood_beside_a_recording_is_part_of_the_question_and_of_its_replay(folder, tmp_path):
+    """`import.toml` says how a file is read: moved without it everything was OTHER, and with another scale in it the
+    same words took the place of a missed criterion."""
+    (tmp_path / "run.csv").write_text((folder / "run.csv").read_text().replace("position [m]", "way"), encoding="utf-8")
+    beside = tmp_path / "import.toml"
+    beside.write_text('columns = {position = "way"}\nunits = {way = "m"}\n', encoding="utf-8")
+    file = tmp_path / "m.toml"
+    file.write_text((folder / "m.toml").read_text(encoding="utf-8").partition("[credibility]")[0], encoding="utf-8")
+    own, tight = f"{folder}/rig.py:slide@{file}", "position.rmse < 1e-9 m"
+    words = ("--mode", "free run", "--accept", tight, "--record", file, "--out", tmp_path / "report")
+    assert hydrotwin("compare", "--model", own, "--validate", tmp_path / "run.csv", *words).code == 1
+    beside.write_text('columns = {position = "way"}\nscale = {position = "1e-9 m/m"}\nunits = {way = "m"}\n')
+    hydrotwin("compare", "--model", own, "--validate", tmp_path / "run.csv", *words)
+    assert hydrotwin("check", own).said.count("compare on") == 2
+    (tmp_path / "moved").mkdir()
+    (tmp_path / "run.csv").rename(tmp_path / "moved/run.csv")
+    answer = hydrotwin("check", own, "--replay", "--recordings", tmp_path / "moved")
+    assert "same" in answer.said and "OTHER" not in answer.said, answer.said

@@ -67,3 +67,9 @@ def test_rounding_at_rest_is_no_error():
     reading = step * np.round((between + 0.1 * rng.standard_normal(5000)) / step)
     assert own.chance(reading - between) < 1e-3 < 0.1 < own.chance(reading - between, step)
     assert own.chance(reading - between + 2 * step, step) < 1e-6
+
+
+def test_what_moves_beyond_numbers_has_no_chance():
+    """A reading of 1e200 had ended a comparison with a traceback."""
+    far = Moved(ROOT * 1e200, OUTPUT.left)
+    assert np.isnan(far.chance(np.ones(len(TIME))))

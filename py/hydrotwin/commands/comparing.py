@@ -171,6 +171,8 @@ def compare(
     from hydrotwin.report import notices_of_variants
     from hydrotwin.report.written import note_written
 
+    if junit_file is not None:  # a run that ends without a verdict leaves none of an earlier one to a server
+        junit_file.unlink(missing_ok=True)
     named = recorded_as(record, described) if record is not None else ""
     loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
     before = _state(output / "compare.json")

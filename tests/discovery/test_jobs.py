@@ -10,6 +10,7 @@ import pytest
 from hydrotwin.discovery.fits.job import factor
 from hydrotwin.discovery.fits.whole import step, trajectories
 from tests.discovery.slides import begun, records
+from tests.discovery.test_table import leaving
 
 SOME = ("coulomb_friction", "null_bias")
 
@@ -136,3 +137,15 @@ def peak(table, entry):
     flat = table.model(entry).flat
     runs = trajectories(flat, table.question, entry.fitted)
     return max(np.abs(x[:, [s.name for s in flat.states].index("mass.speed")]).max() for x in runs)
+
+
+def test_a_structure_is_looked_at_along_the_course_of_the_base_and_on_its_scale(search):
+    base, job = search.table.entry().look, search.jobs.next(friction(search), 1)
+    assert job.course is base.course and len(base.course) == 3
+    assert job.size == pytest.approx(np.sqrt(base.squares[0] / base.counts[0]))
+
+
+@pytest.mark.parametrize(("left", "lengths"), [(4.0, 0), (6.0, 2)])
+def test_looks_go_through_whole_recordings_where_the_base_leaves_little_of_them(search, left, lengths):
+    search.base.entry.fitted = leaving(left)
+    assert search.base.looks_through(2) == lengths

@@ -144,3 +144,22 @@ def test_what_leaves_nothing_gets_no_name_while_others_that_may_do_the_same_were
     assert [c.id for c in said.best.members] == ["coulomb_friction"] and said.kept is table.entry()
     monkeypatch.setattr(type(table), "unseen", lambda self: 0.5)
     assert standing(table).verdict == "named"
+
+
+def test_a_part_is_told_with_what_closes_as_much(table):
+    said = fitted(table, base=30.0, coulomb_friction=10.0, null_bias=10.0)
+    (first,) = said.order
+    assert said.verdict == "unknown" and said.part
+    assert {c.id for c in said.members(first)} == {"coulomb_friction", "null_bias"}
+    assert [said.probability(c.label) for c in said.members(first)] == pytest.approx([0.4] * 2, abs=0.02)
+
+
+@pytest.mark.parametrize(("promised", "told"), [(0.95, True), (0.05, False)])
+def test_a_part_is_not_told_while_more_promise_as_much_than_were_fitted(table, monkeypatch, promised, told):
+    fitted(table, base=30.0, coulomb_friction=10.0)
+    for c in (c for c in table.candidates if c.id != "coulomb_friction"):
+        entry = table.entry([c])
+        entry.failed, entry.beside, entry.look = "", np.nan, object()
+    monkeypatch.setattr(table, "promise", lambda entry: promised)
+    said = standing(table)
+    assert said.verdict == "unknown" and said.part == told

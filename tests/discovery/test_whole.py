@@ -186,3 +186,12 @@ def test_every_structure_has_its_free_parameters(rubbing):
     flat, free, force = started("coulomb_friction")
     concluded = conclude(Job(flat, free, asked, (found.values,), found.states, found.rmse))
     assert [p.name for p in concluded.fit.parameters] == list(free) and force in free
+
+
+@pytest.mark.parametrize(("known", "stages"), [((slide().flat, FREE), 1), (started("coulomb_friction")[:2], 2)])
+def test_runs_are_precise_only_where_little_is_left(rubbing, monkeypatch, known, stages):
+    """Without the friction the base leaves far more than an error of rough runs could be."""
+    asked, _ = rubbing
+    found, own = [], whole.settled
+    monkeypatch.setattr(whole, "settled", lambda *given: found.append(given) or own(*given))
+    assert isinstance(fit(Job(*known, asked)), whole.Fitted) and len(found) == stages

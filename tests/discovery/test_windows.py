@@ -96,3 +96,17 @@ def test_sizes_that_are_nothing_are_no_warning():
     assert apart(nothing, some) == pytest.approx(np.log(2.0))
     assert apart(nothing, nothing) == 0.0
     assert apart(np.array([0.0]), np.array([1.0])) == np.inf
+
+
+def test_a_look_along_a_known_course_leaves_no_more_than_what_knew_it(asked):
+    known = look(rubbing(asked, 140.0, stages=(0, 1), tells_course=True))
+    assert [course.keys() for course in known.course] == [{s.name for s in started("coulomb_friction")[0].states}] * 3
+    again = dataclasses.replace(rubbing(asked, stages=(0, 1)), starts=(known.values,), size=known.size)
+    along = look(dataclasses.replace(again, course=known.course))
+    assert along.squares[0] <= known.squares[0] * 1.001 and along.course == ()
+
+
+def test_a_course_that_costs_more_than_a_guess_is_not_taken(asked):
+    guessed = look(rubbing(asked, 140.0, stages=(0, 1)))
+    wrong = tuple({s.name: np.full(len(r.time), 1.0) for s in started("coulomb_friction")[0].states} for r in asked.fit)
+    assert look(rubbing(asked, 140.0, stages=(0, 1), course=wrong)).values == guessed.values

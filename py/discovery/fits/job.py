@@ -70,13 +70,13 @@ class Job:
     question: Question
     starts: tuple[Mapping[str, float], ...] = ({},)
     states: tuple[Mapping[str, float], ...] = ()
-    course: tuple[Mapping[str, np.ndarray], ...] = ()
     size: np.ndarray | None = None
     label: str = ""
     iterations: int = 15
     seconds: float = 60.0
     stages: tuple[int, int] | None = None
     threads: int = 1
+    course: tuple[Mapping[str, np.ndarray], ...] = ()
     tells_course: bool = False
 
     def beginning(self) -> Job:
@@ -103,8 +103,8 @@ class Look:
     trail: tuple[Mapping[str, float], ...] = ()
     sigmas: Mapping[str, float] = field(default_factory=dict)
     left: Spectrum | None = None
-    course: tuple[Mapping[str, np.ndarray], ...] = ()
     seconds: float = 0.0
+    course: tuple[Mapping[str, np.ndarray], ...] = ()
 
     @property
     def shortest(self) -> Mapping[str, float]:

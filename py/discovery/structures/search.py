@@ -126,7 +126,8 @@ class Search:
             self.part = None
             if not part.complete:
                 raise OutOfTime
-            self._settle(entries)
+            if not self.table.explained():  # else the base was asked what it lacks in the beginnings
+                self._settle(entries)
         self.part = None
         if not self.table.explained():
             self.first = self.base.looks_through(self.base.lead())
@@ -245,8 +246,6 @@ class Search:
             entry.fitted = found if isinstance(found, Fitted) else None
             if entry.fitted and table.score(entry) > level:
                 entry.fitted = None  # from its own start it may do better
-        if any(e.fitted for e in entries):
-            self._grow()
 
     def _promises_much(self, entry: Entry) -> bool:
         """Whether it promises to leave little of what the best part of it that was fitted leaves."""

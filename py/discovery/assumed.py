@@ -180,7 +180,7 @@ def question_samples(job: Job) -> Strays:
 def judge_samples(job: Job) -> Strays:
     """Of what selects alone, as a job's fit sees it. Pure and picklable; what judges is in no memory."""
     try:
-        return outliers.with_others(*_ended(job), Strays(), job.question.select)
+        return outliers.with_others(*_ended(job.beginning()), Strays(), job.question.select)
     except SolveError:
         return Strays()
 
@@ -222,7 +222,7 @@ def question_beside(job: Job) -> Change:
 def question(job: Job, enough: float = FAR_MORE, only_starts: bool = False) -> Change:
     """`doubted` of a job's first start, where a fit has ended. Pure and picklable."""
     try:
-        task, found = _ended(job)
+        task, found = _ended(job.beginning())
         adaptable = np.isfinite(job.question.noise)
         return doubted(task, found, adaptable, loads=False, enough=enough, only_starts=only_starts) or Change()
     except SolveError:
@@ -234,8 +234,12 @@ def _at_noise(task: Task, found: Minimum) -> bool:
 
 
 def _ended(job: Job) -> tuple[Task, Minimum]:
-    """The task of a job and the minimum beside its start; every start state may be asked for."""
+    """The task of a job and the minimum beside its start; every start state may be asked for.
+
+    The job has begun (`Job.beginning`): whatever is asked of the task ends with its seconds, where it is then.
+    """
     task = task_of(job, job.starts[0], not_below(job.question.noise, job.size), [s.name for s in job.flat.states])
+    task = dataclasses.replace(task, until=job.seconds)
     shooting, z = whole_runs(task)
     start = task.free.scaled(task.free.start)
     return task, minimise(shooting, start, given(shooting, z, job.states), **FIRST, most=FURTHER)

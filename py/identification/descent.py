@@ -38,6 +38,7 @@ class Task:
 
     prior : what is known of the parameters beforehand.
     rounded : (ny,), SI, what of the noise is the rounding of the inputs; None where it does not matter.
+    until : the processor time [s], as of `time.process_time`, at which every minimisation of it stops.
     """
 
     flat: FlatModel
@@ -53,6 +54,7 @@ class Task:
     history: list[Iteration] = field(default_factory=list)
     prior: Prior | None = None
     rounded: np.ndarray | None = None
+    until: float = np.inf
 
     def step_report(self, stage: str):
         """What the solver calls after each accepted step."""
@@ -85,7 +87,7 @@ def whole_runs(task: Task, recordings: Sequence[Recording] | None = None) -> tup
     segments = horizon.cut(recordings, np.inf)
     shooting = Shooting(
         task.propagator, task.free, recordings, tuple(segments), task.weights, start, z, task.loss, task.threads,
-        prior=task.prior,
+        prior=task.prior, until=task.until,
     )  # fmt: skip
     return shooting, z
 
@@ -127,7 +129,7 @@ def freely(task: Task, segments: Sequence[Segment], states: Sequence[np.ndarray]
     z = horizon.window_starts(segments, states, start)
     shooting = Shooting(
         task.propagator, task.free, task.recordings, tuple(segments), task.weights, start, z, task.loss, task.threads,
-        prior=task.prior,
+        prior=task.prior, until=task.until,
     )  # fmt: skip
     return shooting, shooting.clip(z)
 

@@ -74,12 +74,12 @@ def minimise(
     twice the noise's share. It also stops when the last steps together gained less than ``stalled`` on the same scale,
     or when steps that promised less than that kept no promise: a cost that is rough on a small scale never ends to
     promise. A step that diverges or does not descend is rejected and shortened. ``hold`` keeps q and moves the start
-    states alone. ``until``: the processor time [s], as of `time.process_time`, at which it stops where it is. ``at``:
-    the expansion at q and z, where it is known.
+    states alone. ``until``: the processor time [s], as of `time.process_time`, at which it stops where it is, or
+    earlier where the runs say so. ``at``: the expansion at q and z, where it is known.
     """
     lower, upper = (q, q) if hold else (shooting.free.scaled(b) for b in (shooting.free.lower, shooting.free.upper))
     logarithmic = shooting.free.logarithmic
-    at = at or shooting.linearise(q, z)
+    at, until = at or shooting.linearise(q, z), min(until, shooting.until)
     if at.diverged.all():
         raise SolveError(f"identify: every run diverges{_where(shooting, q)}. Start elsewhere or use shorter windows.")
     damping, growth, size = 1e-3, 2.0, _diagonal(at)

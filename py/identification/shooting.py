@@ -78,7 +78,8 @@ class Shooting:
     """Segments of recordings with everything needed to run them; ``z`` is scaled by the states' nominals.
 
     The cost counts residuals averaged over ``averaged`` samples, in units of the average's noise. diverged : from how
-    many times the cost of the mean on a run has diverged; inf for those alone that leave the finite numbers.
+    many times the cost of the mean on a run has diverged; inf for those alone that leave the finite numbers. until :
+    the processor time [s] at which a minimisation stops.
     """
 
     propagator: object
@@ -93,6 +94,7 @@ class Shooting:
     averaged: int = 1
     prior: Prior | None = None
     diverged: float = DIVERGED
+    until: float = np.inf
 
     @property
     def locals(self) -> int:

@@ -12,11 +12,15 @@ import pytest
 from hydrotwin.discovery import assumed
 from hydrotwin.discovery.discover import discover
 from hydrotwin.discovery.evidence.gaps import has_gap
+from hydrotwin.discovery.fits.job import Job
 from hydrotwin.identification.assumptions import PATIENCE, Change
+from hydrotwin.identification.descent import whole_runs
+from hydrotwin.identification.least_squares import minimise
 from hydrotwin.identification.outliers import Strays
 from hydrotwin.report.gap_data import gap_data
 from tests.identification.sliding import FREE, MASS, held, moved, slide, steps, wave
 
+from . import slides
 from .slides import Inline
 
 SOME = ("coulomb_friction", "dead_time")
@@ -84,6 +88,16 @@ def test_the_search_without_such_samples_ends_with_its_time(monkeypatch):
     monkeypatch.setattr(assumed, "question_samples", at_once)
     answer = found([spoiled(moved(s, held(steps(s))), (40, 41, 300)) for s in range(3)], slide("hold"))
     assert said and not said[0].left_out and answer.verdict == "unknown"
+
+
+def test_what_is_asked_of_a_fit_ends_with_the_seconds_of_its_job():
+    """The doubts of one fit had taken two minutes where a fit may take forty seconds."""
+    asked, begin = slides.question(slides.records(3, dry=30.0)), slides.START
+    job = Job(slides.slide().flat, tuple(begin), asked, (begin,), size=asked.noise, seconds=0.0)
+    task, found = assumed._ended(job.beginning())
+    assert found.iterations == 1 and not found.converged
+    again = minimise(whole_runs(task)[0], found.q, found.z)
+    assert again.iterations == 1 and "time limit" in again.message
 
 
 def test_a_recording_that_judges_alone_may_have_such_samples():

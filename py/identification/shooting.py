@@ -49,9 +49,8 @@ class Linearisation:
     """Cost and its Gauss-Newton expansion over q and the scaled start states, segment by segment.
 
     gradient (segments, k), hessian (segments, k, k); k = free parameters, then start states. A segment in ``diverged``
-    has a constant cost and no derivative.
-    squares : (segments, ny), SI, of what was measured, without weights, not finite where a run stopped or was given up;
-        None where the driver did not sum them.
+    has a constant cost and no derivative. squares : (segments, ny), SI, of what was measured, without weights, not
+    finite where a run stopped or was given up; None where the driver did not sum them.
     """
 
     cost: float
@@ -77,9 +76,8 @@ class Prior:
 class Shooting:
     """Segments of recordings with everything needed to run them; ``z`` is scaled by the states' nominals.
 
-    The cost counts residuals averaged over ``averaged`` samples, in units of the average's noise. diverged : from how
-    many times the cost of the mean on a run has diverged; inf for those alone that leave the finite numbers. until :
-    the processor time [s] at which a minimisation stops.
+    The cost counts residuals averaged over ``averaged`` samples, in units of the average's noise. diverged : times the
+    cost of the mean from which on a run has diverged; inf: not finite. until : when [s] a minimisation stops.
     """
 
     propagator: object

@@ -108,6 +108,15 @@ def test_a_structure_that_diverges_in_all_recordings_is_tried_again_where_none_e
     assert friction.open and not friction.failed
 
 
+def test_the_base_is_not_asked_again_for_what_its_beginnings_explained(monkeypatch):
+    search = begun(records(3, dry=30.0), ("coulomb_friction", "null_bias"))
+    search.identify()
+    asked = []
+    monkeypatch.setattr(search, "_settle", asked.append)
+    search._begin()
+    assert search.table.explained() and not asked
+
+
 def test_recordings_of_a_few_seconds_each_and_of_unequal_length_are_searched():
     runs = [record(k, dry=30.0, seconds=s) for k, s in enumerate((2.0, 2.0, 3.0, 30.0, 2.0))]
     _, said, _ = gone_through(runs, ("coulomb_friction", "null_bias"))

@@ -38,7 +38,8 @@ def reason_of(search: Search, said: Standing, data: Split, elsewhere: Sequence[s
     if said.part:
         verb = "are parts" if several else "is a part"
         others = sum(len(said.members(c)) - 1 for c in said.order)
-        names += f", or what stands in {'its' if not several else 'their'} class ({others} more)," if others else ""
+        names += f" (or one of {others} others that close as much)" if others > 1 else ""
+        names += " (or another that closes as much)" if others == 1 else ""
         return (
             f"{capitalised(names)} {verb} of what is missing: {percent(closed(table, best))} of the gap "
             f"closes. What is left, {_times(said):.2g} times the noise, has no name in the catalogue.{unfinished}"

@@ -24,8 +24,8 @@ class Entry:
 
     beside : after a few steps from where the best structure ended, in the place of one of its effects, the share of
     what the others of its effects leave alone after as many; nan where nobody asked. foreseen : whether that was asked
-    to first order alone, without a run: of what the best is foreseen to explain. early : what
-    share of the gap it left, or promised to leave, in the beginnings of long recordings, where it was asked alone.
+    to first order alone, without a run: of what the best is foreseen to explain. early : what share of the gap it left,
+    or promised to leave, in the beginnings of long recordings, where it was asked alone.
     """
 
     members: tuple[Candidate, ...]

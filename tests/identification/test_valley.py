@@ -84,7 +84,7 @@ def test_a_cost_that_is_rough_on_a_small_scale_is_left_after_a_few_broken_promis
     asked = []
 
     class Rough:
-        count, locals, free, clip = runs.count, runs.locals, runs.free, runs.clip
+        count, locals, free, clip, until = runs.count, runs.locals, runs.free, runs.clip, runs.until
 
         def cost(self, q, z):
             asked.append(q)

@@ -157,7 +157,7 @@ class Shooting:
         return self.propagator.accuracy(time, u, p, x0)
 
     def trajectories(self, q: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
-        """State trajectories (n, nx) of every recording, put together from its segments; nan where one diverged."""
+        """State trajectories (n, nx) of every recording from its segments, lead-ins too; nan where one diverged."""
         nx = self.start.size
         states, p = [np.full((len(r.time), nx), np.nan) for r in self.recordings], self.free.vector(q)
         for i, segment in enumerate(self.segments):
@@ -167,7 +167,7 @@ class Shooting:
                 _, x = self.propagator.run(time, u, p, x0)
             except SolveError:
                 continue
-            states[segment.recording][segment.first : segment.last] = x[segment.first - segment.begin :]
+            states[segment.recording][segment.begin : segment.last] = x
         return states
 
     def _point(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

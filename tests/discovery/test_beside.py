@@ -117,7 +117,7 @@ def test_no_pair_is_formed_before_every_single_effect_was_looked_at(monkeypatch)
 
     monkeypatch.setattr(search, "_advance", advance)
     monkeypatch.setattr(search, "_fit_as_it_stands", lambda entries: None)
-    monkeypatch.setattr(search, "_grow", lambda: order.append("grow"))
+    monkeypatch.setattr(search.growth, "grow", lambda first: order.append("grow"))
     search._looked(entries)
     assert order == ["grow", *["look"] * len(entries)]  # before them, of what smaller structures left
 

@@ -281,11 +281,11 @@ def test_what_explains_much_is_fitted_with_what_promises_most_beside_it_before_o
     while rubbing.open:
         search._advance([rubbing])
     assert not search.table.explained() and search.table.share(rubbing) < 0.4
-    search._grow()
+    search.growth.grow(search.first)
     best = min(search.table.fitted, key=search.table.score)
     assert len(best.key) == 2 and set(rubbing.key) < set(best.key)
     assert search.table.score(best) < 0.9 * search.table.score(rubbing)
     assert [e for e in search.table.entries.values() if e.members and e.look] == [rubbing]
     known = len(search.table.entries)
-    search._grow()
+    search.growth.grow(search.first)
     assert len(search.table.entries) == known  # once

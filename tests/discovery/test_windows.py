@@ -7,9 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
+from hydrotwin.discovery.fits import windows
 from hydrotwin.discovery.fits.job import Job, Look, apart
 from hydrotwin.discovery.fits.whole import step
 from hydrotwin.discovery.fits.windows import look
+from hydrotwin.identification.least_squares import minimise
 from hydrotwin.models.language import Model
 from tests.discovery.slides import MASS, NOISE, START, Unstable, drive_records, question, records, slide, started
 
@@ -104,6 +106,16 @@ def test_a_look_along_a_known_course_leaves_no_more_than_what_knew_it(asked):
     again = dataclasses.replace(rubbing(asked, stages=(0, 1)), starts=(known.values,), size=known.size)
     along = look(dataclasses.replace(again, course=known.course))
     assert along.squares[0] <= known.squares[0] * 1.001 and along.course == ()
+
+
+def test_what_others_begin_along_is_led_to_its_end(asked, monkeypatch):
+    most = []
+    monkeypatch.setattr(windows, "minimise", lambda *a, **rules: most.append(rules["most"]) or minimise(*a, **rules))
+    look(rubbing(asked, 140.0, stages=(0, 1), tells_course=True))
+    assert set(most) == {100}
+    most.clear()
+    look(rubbing(asked, 140.0, stages=(0, 1)))
+    assert set(most) == {12}
 
 
 def test_a_course_that_costs_more_than_a_guess_is_not_taken(asked):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.identification import descent, horizon
+from hydrotwin.identification.horizon import window_starts
 from hydrotwin.identification.least_squares import DampedStep
 from hydrotwin.identification.shooting import WEAK_PRIOR
 from hydrotwin.models.language.errors import SolveError
@@ -143,6 +144,17 @@ def test_a_run_that_costs_more_than_its_limit_is_given_up():
     squares, *_ = t.propagator.expansions(*asked)  # what was given up is not remembered
     assert np.isnan(given_up[0]).all() and np.isfinite(squares).all()
     np.testing.assert_array_equal(given_up[1], squares[1])
+
+
+def test_windows_begin_again_in_the_states_where_they_began():
+    """Also those that begin early to fill a delay line: what follows is told of the states there, not of a guess."""
+    t = task(dead_time=True, start={"delay": 0.13})
+    q = t.free.scaled(t.free.start)
+    shooting, z = windows_of(t, q)
+    assert any(s.begin < s.first for s in shooting.segments)
+    moved = shooting.clip(z + np.linspace(-0.3, 0.3, z.size).reshape(z.shape))
+    known = shooting.trajectories(q, moved)
+    np.testing.assert_allclose(window_starts(shooting.segments, known, shooting.start), moved, rtol=1e-12)
 
 
 def test_a_start_that_is_forgotten_before_its_first_residual_keeps_to_its_guess():

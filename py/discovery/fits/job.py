@@ -111,6 +111,11 @@ class Look:
         """Values after the first length of windows."""
         return [*self.trail, self.values][0]
 
+    @property
+    def first_size(self) -> np.ndarray:
+        """(ny,), SI, what the first length of windows left."""
+        return np.sqrt(self.squares[0] / np.maximum(self.counts[0], 1))
+
     def after(self, before: Look | None) -> Look:
         """The same with the stages that were gone through before it."""
         if before is None:

@@ -23,6 +23,7 @@ from hydrotwin.models.language.errors import SolveError
 from .job import Job, Look, Question, apart, broad, not_below, point_of, task_of
 
 STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 10.0, "most": 12}  # of a minimisation over windows
+TO_ITS_END = {**STAGE, "most": 100}  # of one along whose course others begin: short of a minimum all of them do much
 TURNS = 2  # of weights and minimum at every length
 CHANGED = np.log(1.5)  # of the sizes that are left, from which on another turn is worth it
 
@@ -44,12 +45,13 @@ def _led(job: Job) -> Look:
     task = task_of(job, job.starts[0], size, names, rough=True)
     point, states = _cheapest(task, job)
     squares, counts, trail, course = [], [], [], ()
+    rules = TO_ITS_END if job.tells_course else STAGE
     for seconds in q.lengths[again:end]:
         shooting, z = _cut(undecided(task), point, seconds, states, q)
         if trail:
             z = _nearer(task, shooting, point, z, q.lengths[0])
         for _ in range(TURNS):
-            found = minimise(shooting, point, z, **STAGE, until=job.seconds)
+            found = minimise(shooting, point, z, **rules, until=job.seconds)
             point, z = found.q, found.z
             left, count = _left(shooting, found)
             if not np.isfinite(left).all():

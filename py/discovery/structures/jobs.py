@@ -91,13 +91,28 @@ class Jobs:
         look, settings = self.table.entry().look, {"stages": (0, end), "seconds": limit}
         if not entry.members or not look or look.left is not None:
             return self.of(entry, self.starts(entry), **settings, tells_course=not entry.members)
-        size = np.sqrt(look.squares[0] / np.maximum(look.counts[0], 1))
-        return self.of(entry, self._with_effects(entry, look.shortest), **settings, course=look.course, size=size)
+        starts = self._sizes(entry.members, self.table.entry(), look.shortest)
+        return self.of(entry, starts, **settings, course=look.course, size=look.first_size)
 
     def from_its_start(self, entry: Entry, first: int) -> Job:
         """The first look in windows from where the user put the base, effects at usual sizes."""
         stages = (0, min(first, len(self.table.question.lengths)))
         return self.of(entry, self.starts(entry), stages=stages, seconds=self.effort.look)
+
+    def along(self, known: Entry, first: int) -> Job:
+        """A fitted structure in windows from where its fit ended, along the course that the base took."""
+        settings = {"stages": (0, first), "seconds": self.effort.look, "tells_course": True}
+        return self.of(known, [known.fitted.values], **settings, course=self.table.entry().look.course)
+
+    def grown(self, entry: Entry, part: Entry, along: Look) -> Job:
+        """What stands beside a fitted part of a structure, at any of its sizes, in windows along the part's own course.
+
+        What does nothing there leaves as much as the part.
+        """
+        more, size = [c for c in entry.members if c not in part.members], along.first_size
+        starts = self._sizes(more, part, along.shortest)
+        settings = {"stages": (0, len(along.squares)), "seconds": self.effort.look, "size": size}
+        return self.of(entry, starts, **settings, course=along.course)
 
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""
@@ -113,19 +128,19 @@ class Jobs:
         """
         base = self.table.entry()
         known = base.look if entry.members and base.look.left is not None else base.fitted
-        starts = self._with_effects(entry, self.led or known.values)
+        starts = self._sizes(entry.members, base, self.led or known.values)
         part = min((e for e in self.table.parts(entry) if e.members), key=self.table.score, default=None)
         if part:
             known, starts = part.fitted, [*self.beside(entry, part)[:2], *starts]
         settings = {"stages": (0, 0), "seconds": self.effort.look, "states": known.states, "size": base.fitted.rmse}
         return dataclasses.replace(self.of(entry, starts, **settings), question=question or self.table.question)
 
-    def _with_effects(self, entry: Entry, begin: Mapping[str, float]) -> list[dict[str, float]]:
-        """Starts from values of the base, effects at expected and usual sizes, or at a tenth of the first of these."""
-        if not entry.members:
+    def _sizes(self, members: Sequence[Candidate], beside: Entry, begin: Mapping[str, float]) -> list[dict[str, float]]:
+        """Starts from known values, effects at expected and usual sizes, or at a tenth of the first of these."""
+        if not members:
             return [dict(begin)]
-        starts = self._together(entry.members, self.table.entry(), expected=True)
-        little = {n: v for c in entry.members for n, v in small(c, starts[0]).items()}
+        starts = self._together(members, beside, expected=True)
+        little = {n: v for c in members for n, v in small(c, starts[0]).items()}
         return [{**begin, **start} for start in (*starts, little)]
 
     def whole(self, entry: Entry) -> Job:
@@ -158,11 +173,6 @@ class Jobs:
         """The fit from where a part of it ended, with the rest at a tenth of its expected, or usual, size."""
         known = part.fitted
         return self.of(entry, self.beside(entry, part)[:1], states=known.states, size=known.rmse)
-
-    def grown(self, entry: Entry, part: Entry) -> Job:
-        """The fit from where a part of it ended, with the rest at any of its sizes; soon done if it is right."""
-        known, seconds = part.fitted, SOON * self.effort.look
-        return self.of(entry, self.beside(entry, part), states=known.states, size=known.rmse, seconds=seconds)
 
     def soon(self, entry: Entry, look: Look) -> Job:
         """The fit from where a look from the right base ended."""

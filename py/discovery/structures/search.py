@@ -19,15 +19,14 @@ from .base import LEFT, SAME, BaseFit
 from .beginning import against_all, beginning_of, likely, shows, take_over
 from .ends import Freed, OutOfTime, Surprised
 from .extent import enough_of, telling
-from .foreseen import beside, larger, singles
+from .foreseen import larger, singles
+from .growth import EARLY, Growth
 from .jobs import Effort, Jobs
-from .starts import compatible
 from .table import Entry, Table
 
 BY_WINDOWS = 2  # effects of a structure up to which windows alone are looked at
 FIRST = 2  # structures that are fitted when the time is over before any was
 FREED = 0.5  # of it: a base that leaves less from where a structure ended had been in a local minimum
-EARLY = 0.4  # of what a part of it leaves: what promises to leave less is fitted as soon as it is seen
 ASKED = 2  # structures, that windows say are right and whole recordings not, for which a search is interrupted
 
 
@@ -39,9 +38,8 @@ class Search:
     first : how many lengths of windows a first look goes through; 0: whole recordings, or a part of them.
     pause : called with the search between its batches of jobs. surprises : structures that explain all in short
     windows, whose starts are free, and not in longer runs. least : nats that the best structure left from where the
-    base was fitted, too. stood, grown, twice : structures that were fitted as they stood, and with what promises most
-    beside them, and those that were looked at from both starts. part : the search of the beginnings of long
-    recordings, until it is done.
+    base was fitted, too. stood, twice : structures that were fitted as they stood, and that were looked at from both
+    starts. part : the search of the beginnings of long recordings, until it is done.
     """
 
     table: Table
@@ -55,7 +53,6 @@ class Search:
     surprises: list[Entry] = field(default_factory=list)
     least: float = np.inf
     stood: set = field(default_factory=set)
-    grown: set = field(default_factory=set)
     twice: set = field(default_factory=set)
     part: Search | None = None
 
@@ -63,6 +60,7 @@ class Search:
         self.jobs = Jobs(self.table, self.effort)
         self.batch = self.effort.together if np.isfinite(self.until) else self.effort.batch  # then limits are seen
         self.base = BaseFit(self.table, self.jobs, self._ran)
+        self.growth = Growth(self.table, self.jobs, self._ran, self.batch, self.most)
         self.alternatives = Alternatives(self.table, self.jobs, self._ran, self.batch)
 
     def go(self) -> Entry | None:
@@ -211,7 +209,7 @@ class Search:
 
         Where one explains all, the others are asked from where it ended: see `Alternatives`.
         """
-        self._grow()
+        self.growth.grow(self.first)
         for batch in batches([e for e in entries if e.open and not e.look], self.effort.together):
             if self.table.explained():
                 return
@@ -222,30 +220,6 @@ class Search:
                 if self.table.explained():
                     return
             self._fit_as_it_stands(entries)
-
-    def _grow(self) -> None:
-        """Fit the best structure with what promises most beside it, once, where it explains much and not all.
-
-        What is missing beside it may show in long runs alone, in which nothing else is seen as long as it is missing.
-        What a fit leaves that has not come to its end says nothing of that: it goes on first.
-        """
-        table = self.table
-        best = min((e for e in table.fitted if e.members), key=table.score, default=None)
-        if not best or len(best.key) >= self.most or best.key in self.grown or table.share(best) > EARLY:
-            return
-        if not (best.fitted.converged or table.explained()):
-            table.keep_better(best, self._ran([self.jobs.further(best)])[0])
-        self.grown.add(best.key)
-        if table.explained() or not best.fitted.converged:
-            return
-        more = beside(self.jobs, best, self.first, self.effort.together)
-        entries = [table.entry(m) for c in more if compatible(m := (*best.members, c))]
-        entries = [e for e in entries if e.open and table.usable(e)]
-        level = table.score(best) - table.temperature
-        for entry, found in zip(entries, self._ran([self.jobs.grown(e, best) for e in entries]), strict=True):
-            entry.fitted = found if isinstance(found, Fitted) else None
-            if entry.fitted and table.score(entry) > level:
-                entry.fitted = None  # from its own start it may do better
 
     def _promises_much(self, entry: Entry) -> bool:
         """Whether it promises to leave little of what the best part of it that was fitted leaves."""

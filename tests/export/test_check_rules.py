@@ -243,17 +243,18 @@ def test_what_no_importer_may_do_is_waited_for_briefly(tmp_path):
     assert patience.over()
 
 
-def test_a_hundred_thousand_variables_are_checked_in_seconds(fmus, tmp_path):
+@pytest.mark.parametrize("count", [10_000, pytest.param(100_000, marks=pytest.mark.proof)])
+def test_a_hundred_thousand_variables_are_checked_in_seconds(fmus, tmp_path, count):
     """They are names of one value: local, without a start value, in the unit of the angle."""
     [angle] = re.findall(r'name="angle" valueReference="(\d+)"', read(fmus["lag"]))
     one = f'valueReference="{angle}" causality="local"><Real unit="rad"/></ScalarVariable>'
-    many = "".join(f'<ScalarVariable name="part[{k}].turn" {one}' for k in range(100_000))
+    many = "".join(f'<ScalarVariable name="part[{k}].turn" {one}' for k in range(count))
     fmu = rewritten(fmus["lag"], tmp_path / "large.fmu", xml={END: many + END})
     began = time.monotonic()
     check = check_fmu(fmu)
     assert check.passed, str(check)
-    assert "100" in check["variables"].detail
-    assert time.monotonic() - began < 60.0  # under 20 s on a machine with nothing else to do
+    assert str(count // 1000) in check["variables"].detail
+    assert time.monotonic() - began < 60.0  # 100 000 under 20 s on a machine with nothing else to do
 
 
 def test_a_crash_of_the_fmu_leaves_the_rest_of_the_sentence_to_the_row_that_crashed(fmus, tmp_path):

@@ -41,7 +41,7 @@ def test_what_leaves_clearly_less_in_windows_is_fitted_and_nothing_else():
     looks, fits = [j for j in asked if j.stages], [j for j in asked if not j.stages]
     assert looks[0].tells_course and not any(j.tells_course for j in looks[1:])
     assert len(looks) == 1 + len(search.table.candidates) - 1  # the best itself, then all others beside it
-    assert all(j.course is not None and "coulomb_friction" in j.label for j in looks)
+    assert all(j.course and "coulomb_friction" in j.label for j in looks)
     assert ["null_bias" in j.label for j in fits] == [True]
     (pair,) = (e for e in search.table.entries.values() if len(e.key) == 2)
     assert isinstance(pair.look, Look) and search.table.share(pair) < search.table.share(search.table.parts(pair)[-1])

@@ -9,29 +9,37 @@ from hydrotwin.discovery.fits.whole import step
 from hydrotwin.discovery.structures.growth import Growth
 from tests.discovery.slides import begun, records
 
+SHOWN = 0.8  # of what the base leaves in windows, by the friction in all of them
 SOME = ("coulomb_friction", "null_bias", "viscous_friction", "dead_time")
 
 
-def grown(promising: dict[str, float]):
-    """A search whose friction is fitted, and of what is beside it in windows which share is left; labels of jobs."""
+def grown(promising: dict[str, float], left: tuple[float, ...] = (SHOWN, SHOWN), batch: int = 4):
+    """A search whose friction is fitted, and of what is beside it in windows which share is left; labels of jobs.
+
+    left : by length of windows, the share of what the base leaves that the friction leaves alone.
+    """
     search = begun(records(3, dry=30.0, leaning=8.0), SOME, most=2)
     search.identify()
     (friction,) = (c for c in search.table.candidates if c.id == "coulomb_friction")
     best = search.table.entry([friction])
     (best.fitted,) = search._ran([search.jobs.of(best, search.jobs.starts(best))])
     asked, look = [], search.table.entry().look
-    shown = dataclasses.replace(look, squares=look.squares[:1], counts=look.counts[:1], trail=())
 
     def run(jobs):
         found = []
         for job in jobs:
             asked.append(job)
-            share = 0.5 * next((v for name, v in promising.items() if name in job.label), 1.0)
-            seen = dataclasses.replace(shown, values=dict(best.fitted.values), squares=shown.squares * share)
-            found.append(seen if job.stages else step(job))
+            if not job.stages:
+                found.append(step(job))
+                continue
+            k, values = job.stages[0], dict(best.fitted.values)
+            share = left[k] * next((v for name, v in promising.items() if name in job.label), 1.0)
+            one = {"squares": look.squares[k : k + 1] * share, "counts": look.counts[k : k + 1], "begin": k}
+            one["courses"] = (look.courses[k],) if job.tells_courses else ()
+            found.append(dataclasses.replace(look, values=values, trail=(), **one))
         return found
 
-    growth = Growth(search.table, search.jobs, run, batch=4, most=2)
+    growth = Growth(search.table, search.jobs, run, batch=batch, most=2)
     growth.grow(1)
     return search, asked
 
@@ -39,7 +47,7 @@ def grown(promising: dict[str, float]):
 def test_what_leaves_clearly_less_in_windows_is_fitted_and_nothing_else():
     search, asked = grown({"null_bias": 0.001})
     looks, fits = [j for j in asked if j.stages], [j for j in asked if not j.stages]
-    assert looks[0].tells_course and not any(j.tells_course for j in looks[1:])
+    assert looks[0].tells_courses and not any(j.tells_courses for j in looks[1:])
     assert len(looks) == 1 + len(search.table.candidates) - 1  # the best itself, then all others beside it
     assert all(j.course and "coulomb_friction" in j.label for j in looks)
     assert ["null_bias" in j.label for j in fits] == [True]
@@ -51,3 +59,24 @@ def test_where_windows_show_nothing_beside_it_first_order_tells():
     _, asked = grown({})
     fits = [j for j in asked if not j.stages]
     assert fits and any("null_bias" in j.label for j in fits)
+
+
+def test_it_grows_in_the_shortest_windows_in_which_the_best_leaves_anything():
+    """Over a fraction of a second one effect may explain all: what is missing beside it shows in longer windows."""
+    search, asked = grown({}, left=(0.0, SHOWN))
+    looks = [j.stages for j in asked if j.stages]
+    assert looks[:2] == [(0, 1), (1, 2)] and set(looks[2:]) == {(1, 2)}
+    courses = search.table.entry().look.courses
+    assert asked[0].course is courses[0] and asked[1].course is courses[1]
+
+
+def test_where_the_best_leaves_nothing_in_windows_nothing_is_looked_at_beside_it():
+    _, asked = grown({}, left=(0.0, 0.0))
+    assert [j.stages for j in asked if j.stages] == [(0, 1), (1, 2)]
+
+
+def test_what_explains_all_in_windows_is_fitted_before_others_are_looked_at():
+    _, asked = grown({"null_bias": 0.001}, batch=1)
+    at = next(i for i, j in enumerate(asked) if not j.stages)
+    assert "null_bias" in asked[at].label and "null_bias" in asked[at - 1].label
+    assert len(asked) == at + 1, "that explains all"

@@ -32,7 +32,8 @@ def test_looks_begin_where_the_shortest_windows_led_the_base_and_go_on_where_sho
     assert first.stages == (0, 1) and all(start["mass.mass"] == led["mass.mass"] for start in first.starts)
     search._advance([entry], 1)
     then = search.jobs.next(entry, 1)
-    assert then.starts == (entry.look.values,) and then.stages == (1, 2)
+    assert then.starts == (entry.look.values,) and then.stages == (0, 2), "shorter windows tell the states there"
+    assert then.course is search.table.entry().look.courses[0]
 
 
 SEEN = [((0.5, 0.1), 0.1), ((1.01, 0.1), 1.01), ((3.0, 0.1), 0.1), ((3.0, 4.0), 3.0), ((0, 0.01), 0.01), ((0, 0.3), 0)]
@@ -141,7 +142,7 @@ def peak(table, entry):
 
 def test_a_structure_is_looked_at_along_the_course_of_the_base_and_on_its_scale(search):
     base, job = search.table.entry().look, search.jobs.next(friction(search), 1)
-    assert job.course is base.course and len(base.course) == 3
+    assert job.course is base.courses[0] and len(base.courses[0]) == 3
     assert job.size == pytest.approx(np.sqrt(base.squares[0] / base.counts[0]))
 
 

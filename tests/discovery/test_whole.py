@@ -75,6 +75,28 @@ def test_an_effect_is_fitted_with_the_base(rubbing):
     assert found.rmse < 1.2 * NOISE
 
 
+LIMIT, IDLE, TIGHT = "command_saturation.limit", 1e3, 35.0  # N, of 150 N: not reached, from where nothing leads on
+
+
+def test_a_dearer_start_is_followed_where_the_cheapest_one_leads_to_more_than_windows_left():
+    asked = question(records(3, limit=150.0))
+    stuck = fitted(asked, "command_saturation", starts=({LIMIT: IDLE},))
+    assert stuck.rmse > 2 * NOISE and stuck.values[LIMIT] == pytest.approx(IDLE)
+    more = {"starts": ({LIMIT: TIGHT}, stuck.values)}
+    led = fitted(asked, "command_saturation", size=np.array([NOISE]), **more)
+    assert led.rmse < 1.1 * NOISE and led.values[LIMIT] == pytest.approx(150.0, rel=0.01)
+    wrong = fitted(asked, "command_saturation", size=np.array([5 * NOISE]), **more)
+    assert wrong.values[LIMIT] == pytest.approx(IDLE), "in windows it did not explain all"
+
+
+def test_no_other_start_is_tried_where_the_cheapest_one_leads_to_the_noise(monkeypatch):
+    begun, made = [], whole.minimise
+    monkeypatch.setattr(whole, "minimise", lambda *a, **more: (begun.append(a[1]), made(*a, **more))[1])
+    starts = tuple({**START, "mass.mass": mass} for mass in (45.0, 200.0))
+    assert fitted(question(records(1)), starts=starts, size=np.array([NOISE])).rmse < 1.1 * NOISE
+    assert all(np.exp(q[0]) < 100.0 for q in begun)
+
+
 def test_of_several_starts_the_cheapest_is_followed(rubbing):
     asked, found = rubbing
     starts = tuple({"coulomb_friction.force": force} for force in (1e4, 50.0, 3e3))

@@ -101,17 +101,18 @@ def test_sizes_that_are_nothing_are_no_warning():
 
 
 def test_a_look_along_a_known_course_leaves_no_more_than_what_knew_it(asked):
-    known = look(rubbing(asked, 140.0, stages=(0, 1), tells_course=True))
-    assert [course.keys() for course in known.course] == [{s.name for s in started("coulomb_friction")[0].states}] * 3
+    known = look(rubbing(asked, 140.0, stages=(0, 1), tells_courses=True))
+    states = {s.name for s in started("coulomb_friction")[0].states}
+    assert [course.keys() for course in known.courses[0]] == [states] * 3
     again = dataclasses.replace(rubbing(asked, stages=(0, 1)), starts=(known.values,), size=known.size)
-    along = look(dataclasses.replace(again, course=known.course))
-    assert along.squares[0] <= known.squares[0] * 1.001 and along.course == ()
+    along = look(dataclasses.replace(again, course=known.courses[0]))
+    assert along.squares[0] <= known.squares[0] * 1.001 and along.courses == ()
 
 
 def test_what_others_begin_along_is_led_to_its_end(asked, monkeypatch):
     most = []
     monkeypatch.setattr(windows, "minimise", lambda *a, **rules: most.append(rules["most"]) or minimise(*a, **rules))
-    look(rubbing(asked, 140.0, stages=(0, 1), tells_course=True))
+    look(rubbing(asked, 140.0, stages=(0, 1), tells_courses=True))
     assert set(most) == {100}
     most.clear()
     look(rubbing(asked, 140.0, stages=(0, 1)))

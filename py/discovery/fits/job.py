@@ -56,13 +56,13 @@ class Question:
 class Job:
     """One structure and where its fit begins.
 
-    starts : values by path, of which the one that costs least is followed. states : start states by name and recording,
-    where they are known. course : states (n,) by name and recording, in which windows may begin, too; a guess is used
-    where that costs less, and of states that are not in it. size : (ny,), SI, what a residual costs at first; None: a
-    few percent of the spread.
+    starts : values by path, of which the one that costs least is followed, and where that leads a fit to more than
+    noise others, too. states : start states by name and recording, where they are known. course : states (n,) by name
+    and recording, in which windows of the first length may begin, too; a guess is used where that costs less, and of
+    states that are not in it. size : (ny,), SI, what a residual costs at first; None: a few percent of the spread.
     iterations, seconds : the most that each stage takes, [1] and [s] of all. stages : of the windows' lengths, from
     which one to before which one a look goes; (0, 0) for one at whole recordings, None for a fit to them. threads :
-    over recordings. tells_course : whether a look tells its own.
+    over recordings. tells_courses : whether a look tells its own.
     """
 
     flat: FlatModel
@@ -77,7 +77,7 @@ class Job:
     stages: tuple[int, int] | None = None
     threads: int = 1
     course: tuple[Mapping[str, np.ndarray], ...] = ()
-    tells_course: bool = False
+    tells_courses: bool = False
 
     def beginning(self) -> Job:
         """The same, whose seconds count from now: ``seconds`` becomes a time of `time.process_time`."""
@@ -91,8 +91,8 @@ class Look:
     values : free parameters by path; squares, counts : (stages, ny), SI squared and [1], of what every length of
     windows left, the free start states taken from the numbers. size : (ny,), SI, what the last left. states : start
     states by name and recording. trail : values after the stages before. sigmas : of the values, by path, infinite
-    where nothing shows. left : of whole recordings, where it looked at them. course : states (n,) by name and
-    recording along the first length of windows, where it was asked for.
+    where nothing shows. left : of whole recordings, where it looked at them. begin : of the lengths, the first that it
+    went through. courses : by length, states (n,) by name and recording along its windows, where they were asked for.
     """
 
     values: Mapping[str, float]
@@ -104,27 +104,38 @@ class Look:
     sigmas: Mapping[str, float] = field(default_factory=dict)
     left: Spectrum | None = None
     seconds: float = 0.0
-    course: tuple[Mapping[str, np.ndarray], ...] = ()
+    begin: int = 0
+    courses: tuple[tuple[Mapping[str, np.ndarray], ...], ...] = ()
+
+    @property
+    def end(self) -> int:
+        """Of the lengths, that before which it ended."""
+        return self.begin + len(self.squares)
 
     @property
     def shortest(self) -> Mapping[str, float]:
         """Values after the first length of windows."""
         return [*self.trail, self.values][0]
 
-    @property
-    def first_size(self) -> np.ndarray:
-        """(ny,), SI, what the first length of windows left."""
-        return np.sqrt(self.squares[0] / np.maximum(self.counts[0], 1))
+    def after_length(self, stage: int) -> Mapping[str, float]:
+        """Values after one of the lengths."""
+        return [*self.trail, self.values][stage - self.begin]
+
+    def size_at(self, stage: int) -> np.ndarray:
+        """(ny,), SI, what one of the lengths left."""
+        return np.sqrt(self.squares[stage - self.begin] / np.maximum(self.counts[stage - self.begin], 1))
 
     def after(self, before: Look | None) -> Look:
-        """The same with the stages that were gone through before it."""
+        """The same with the lengths that were gone through before it; one that it went through again counts as now."""
         if before is None:
             return self
-        squares, counts = (np.concatenate([getattr(before, n), getattr(self, n)]) for n in ("squares", "counts"))
-        trail = (*before.trail, before.values, *self.trail)
-        seconds = before.seconds + self.seconds
-        course = before.course or self.course
-        return dataclasses.replace(self, squares=squares, counts=counts, trail=trail, course=course, seconds=seconds)
+        kept = self.begin - before.begin
+        squares, counts = (np.concatenate([getattr(before, n)[:kept], getattr(self, n)]) for n in ("squares", "counts"))
+        return dataclasses.replace(
+            self, squares=squares, counts=counts, begin=before.begin, seconds=before.seconds + self.seconds,
+            trail=(*(*before.trail, before.values)[:kept], *self.trail),
+            courses=(*before.courses[:kept], *self.courses),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,6 +10,7 @@ Source: Y. Bard, Nonlinear Parameter Estimation, 1974, ch. IV (unknown covarianc
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
@@ -34,6 +35,8 @@ FEW = 8  # iterations of a look at whole recordings
 ROUGHLY = {"absolute": 2.0, "relative": 0.02, "stalled": 10.0}  # of such a look: candidates must be told apart
 ROUNDS = 5  # of weights and minimum
 LONGEST = 30  # iterations in all rounds together
+NEAR = 1.3  # times the noise, or what windows left: what leaves more is not near to it
+STEPS = 3  # of each of these, after which the cheapest goes on
 FAR = 3.0  # times the noise that a structure leaves of an output: precise runs tell it from none that leaves less
 COSTLY = 0.1  # of the seconds of a fit: what choosing its start may take
 STEADY = 0.02  # relative change of the sizes that ends the rounds
@@ -92,7 +95,34 @@ def as_look(fitted: Fitted) -> Look:
 
 
 def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
-    return precisely(job, *first(job, rough=True))
+    began = time.process_time()
+    run = _begun(job, rough=True)
+    found = run.minimum(0, FIRST, job.iterations)
+    until = min(job.seconds, 2 * time.process_time() - began)
+    return precisely(job, run.task, _lower(run, found, job, until))
+
+
+def _lower(run: _Begun, found: Minimum, job: Job, until: float) -> Minimum:
+    """The minimum, or a lower one to which another start leads, where it leaves more than windows had left.
+
+    Of two starts the dearer one may lead further: windows may have led to where all but one of them are explained. A
+    few steps tell it. All others have as much time together as the cheapest one had.
+    """
+    noise = run.task.noise
+    promised = not_below(noise, job.size) if job.size is not None else np.full_like(noise, np.inf)
+    if np.nanmax(promised / noise) > NEAR:  # it was not to explain all
+        return found
+    if not np.nanmax(_size(run.task, residuals_of(run.task, found)) / promised) > NEAR:
+        return found
+    best = found
+    for k in range(1, len(run.points)):
+        if time.process_time() > until:
+            break
+        with contextlib.suppress(SolveError):
+            best = min(best, run.minimum(k, FIRST, STEPS, until), key=lambda m: m.cost)
+    if best is found:
+        return found
+    return min(found, run.minimum(best, FIRST, job.iterations), key=lambda m: m.cost)
 
 
 def precisely(job: Job, task: Task, found: Minimum) -> tuple[Task, Minimum, list[np.ndarray]]:
@@ -110,25 +140,53 @@ def precisely(job: Job, task: Task, found: Minimum) -> tuple[Task, Minimum, list
     return settled(precise, found, job.iterations, job.seconds)
 
 
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """Whole runs of a job before any step: start states z, and scaled parameters of its starts, the cheapest first.
+
+    at : the expansion at the first of them, where it is known.
+    """
+
+    task: Task
+    runs: Shooting
+    z: np.ndarray
+    points: list[np.ndarray]
+    at: Linearisation | None
+
+    def minimum(self, of: int | Minimum, rules: Mapping[str, float], most: int, until: float = np.inf) -> Minimum:
+        """The minimum beside one of the starts, or of a minimisation that goes on."""
+        if isinstance(of, Minimum):
+            return minimise(self.runs, of.q, of.z, **rules, most=most, until=until, at=of.at)
+        at = None if of else self.at
+        return minimise(self.runs, self.points[of], self.z, **rules, most=most, until=until, at=at)
+
+
 def first(job: Job, rules: Mapping[str, float] = FIRST, rough: bool = False) -> tuple[Task, Minimum]:
     """The task and its first minimum from the cheapest start."""
+    run = _begun(job, rough)
+    return run.task, run.minimum(0, rules, job.iterations)
+
+
+def _begun(job: Job, rough: bool) -> _Begun:
     q = job.question
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
-    task = task_of(job, job.starts[0], size, moving_starts(job), rough)
-    shooting, z = whole_runs(task)
-    z = given(shooting, z, job.states)
-    start, at = _cheapest(task, job, shooting, z)
-    return task, minimise(shooting, start, z, **rules, most=job.iterations, until=job.seconds, at=at)
+    task = dataclasses.replace(task_of(job, job.starts[0], size, moving_starts(job), rough), until=job.seconds)
+    runs, z = whole_runs(task)
+    z = given(runs, z, job.states)
+    return _Begun(task, runs, z, *_cheapest_first(task, job, runs, z))
 
 
-def _cheapest(task: Task, job: Job, shooting: Shooting, z: np.ndarray) -> tuple[np.ndarray, Linearisation | None]:
-    """Scaled parameters of the cheapest start from which a derivative leads on, and the expansion there if it is known.
+def _cheapest_first(
+    task: Task, job: Job, shooting: Shooting, z: np.ndarray
+) -> tuple[list[np.ndarray], Linearisation | None]:
+    """Scaled parameters of the starts, the cheapest from which a derivative leads on first; the expansion there.
 
-    Far from the machine a free run may be so sensitive that its derivatives explode, though it ends nearby.
+    Far from the machine a free run may be so sensitive that its derivatives explode, though it ends nearby. The
+    expansion is None where it is not known.
     """
     free = task.free
     if len(job.starts) == 1:
-        return free.scaled(free.start), None
+        return [free.scaled(free.start)], None
     points = [point_of(free, start) for start in job.starts]
     began = time.process_time()
     costs = []
@@ -138,9 +196,12 @@ def _cheapest(task: Task, job: Job, shooting: Shooting, z: np.ndarray) -> tuple[
             break  # so stiff that the first few must do
     points = [points[k] for k in np.argsort(costs)]
     if time.process_time() - began > COSTLY * (job.seconds - began):
-        return points[0], None
-    expansions = ((q, shooting.linearise(q, z)) for q in points)
-    return next(((q, at) for q, at in expansions if not at.diverged.any()), (points[0], None))
+        return points, None
+    for k, q in enumerate(points):
+        at = shooting.linearise(q, z)
+        if not at.diverged.any():
+            return [q, *points[:k], *points[k + 1 :]], at
+    return points, None
 
 
 def settled(task: Task, found: Minimum, most: int, until: float = np.inf) -> tuple[Task, Minimum, list[np.ndarray]]:

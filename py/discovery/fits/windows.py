@@ -39,14 +39,13 @@ def look(job: Job) -> Look | str:
 
 def _led(job: Job) -> Look:
     q, (begin, end) = job.question, job.stages
-    again = max(begin - 1, 0)  # shorter windows tell the states where longer ones begin
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
     names = [s.name for s in job.flat.states]
     task = task_of(job, job.starts[0], size, names, rough=True)
     point, states = _cheapest(task, job)
-    squares, counts, trail, course = [], [], [], ()
-    rules = TO_ITS_END if job.tells_course else STAGE
-    for seconds in q.lengths[again:end]:
+    squares, counts, trail, courses = [], [], [], []
+    rules = TO_ITS_END if job.tells_courses else STAGE
+    for seconds in q.lengths[begin:end]:
         shooting, z = _cut(undecided(task), point, seconds, states, q)
         if trail:
             z = _nearer(task, shooting, point, z, q.lengths[0])
@@ -62,15 +61,15 @@ def _led(job: Job) -> Look:
                 break
         task, known = dataclasses.replace(task, weights=shooting.weights), shooting.trajectories(point, z)
         states = [np.where(np.isfinite(new), new, old) for new, old in zip(known, states, strict=True)]
-        course = course or tuple(dict(zip(names, x.T.copy(), strict=True)) for x in states)
+        courses.append(tuple(dict(zip(names, x.T.copy(), strict=True)) for x in states) if job.tells_courses else ())
         squares.append(left)
         counts.append(count)
         trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
-    new, known_to = slice(begin - again, None), dict(zip(task.free.names, sigmas(found, task.free), strict=True))
+    known_to = dict(zip(task.free.names, sigmas(found, task.free), strict=True))
     return Look(
-        trail[-1], np.array(squares[new]), np.array(counts[new]), size, first, tuple(trail[new][:-1]), known_to,
-        course=course if job.tells_course else (),
+        trail[-1], np.array(squares), np.array(counts), size, first, tuple(trail[:-1]), known_to,
+        begin=begin, courses=tuple(courses) if job.tells_courses else (),
     )  # fmt: skip
 
 
@@ -83,11 +82,11 @@ def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, second
 
 
 def _cheapest(task: Task, job: Job) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Scaled parameters of the start that costs least in the shortest windows, and state trajectories (n, nx).
+    """Scaled parameters of the start that costs least in the first of its windows, and state trajectories (n, nx).
 
     Windows begin in states that a run guesses, or along the course that the job knows.
     """
-    points, seconds = [point_of(task.free, start) for start in job.starts], job.question.lengths[0]
+    points, seconds = [point_of(task.free, start) for start in job.starts], job.question.lengths[job.stages[0]]
     p = task.free.vector(points[0])
     guess = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
     courses = [guess, _along(job, guess)] if job.course else [guess]

@@ -109,7 +109,7 @@ class BaseFit:
     def _lead(self, lengths: int) -> None:
         """Lead it through the first ``lengths`` of windows, where it has not gone through them."""
         base, known = self.entry, len(self.table.question.lengths)
-        if not self.table.usable(base) or (base.look and len(base.look.squares) >= min(lengths, known)):
+        if not self.table.usable(base) or (base.look and base.look.end >= min(lengths, known)):
             return
         (found,) = self.run([self.jobs.next(base, lengths)])
         if isinstance(found, Look):

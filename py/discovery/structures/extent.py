@@ -29,7 +29,7 @@ def telling(table: Table) -> int:
     base = table.entries[NOTHING]
     if not (base.look and table.question.lengths):
         return 0
-    stages = range(min(len(base.look.squares), SHORT))
+    stages = range(min(base.look.end, SHORT))
     return next((k + 1 for k in stages if table.visible(k) > DECIDING.visible), 0)
 
 

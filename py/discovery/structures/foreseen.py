@@ -60,7 +60,7 @@ def larger(jobs: Jobs, size: int, first: int) -> list[Entry]:
 
     first : how many lengths of windows count.
     """
-    table, pool = jobs.table, _promising(jobs.table, first)[: jobs.effort.pool]
+    table, pool = jobs.table, promising(jobs.table, first)[: jobs.effort.pool]
     known = [e for e in table.entries.values() if len(e.key) == size - 1 and not e.failed]
     best = sorted(known, key=lambda e: _worth(table, e, first))[:GROWN]
     groups = [(*e.members, c) for e in best for c in beside(jobs, e, first, len(pool))]
@@ -78,15 +78,15 @@ def beside(jobs: Jobs, known: Entry, first: int, count: int) -> list[Candidate]:
     """
     table = jobs.table
     left = {label: one.left for label, one in foreseen(table, jobs, known).items()} if known.fitted else {}
-    more = [c for c in table.candidates if c.label in left] if left else _promising(table, first)
+    more = [c for c in table.candidates if c.label in left] if left else promising(table, first)
     more = sorted(more, key=lambda c: left.get(c.label, 0.0))[:count]
     return [c for c in more if c not in known.members]
 
 
-def _promising(table: Table, first: int) -> list[Candidate]:
-    """Single effects, the most promising first."""
-    alone = [e for e in table.entries.values() if len(e.key) == 1 and not e.failed]
-    return [e.members[0] for e in sorted(alone, key=lambda e: _worth(table, e, first))]
+def promising(table: Table, first: int) -> list[Candidate]:
+    """Single effects, the most promising first; of what was not looked at nothing is known."""
+    alone = [table.entries.get((c.label,), table.possible([c])) for c in table.candidates]
+    return [e.members[0] for e in sorted(alone, key=lambda e: _worth(table, e, first)) if not e.failed]
 
 
 def _worth(table: Table, e: Entry, first: int) -> float:

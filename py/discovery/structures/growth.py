@@ -1,4 +1,4 @@
-"""Growth: the best structure is fitted with what promises most beside it, before all else is looked at.
+"""Growth: the best structure is joined by what promises most beside it, before all else is looked at.
 
 What is missing beside it may show in long runs alone, in which nothing else is seen as long as it is missing.
 """
@@ -8,9 +8,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
+from ..evidence.deciding import DECIDING
 from ..fits.job import Fitted, Job, Look
 from .alternatives import batches
-from .foreseen import beside
+from .base import SAME
+from .foreseen import beside, promising
 from .jobs import Jobs
 from .starts import compatible
 from .table import Entry, Table
@@ -39,47 +41,82 @@ class Growth:
         What a fit leaves that has not come to its end says little of that: it goes on first. first : how many lengths
         of windows looks go through; 0: whole recordings.
         """
-        table = self.table
-        best = min((e for e in table.fitted if e.members), key=table.score, default=None)
-        if not best or len(best.key) >= self.most or best.key in self.grown or table.share(best) > EARLY:
+        best = self._best(first)
+        if not best or len(best.key) >= self.most or best.key in self.grown:
             return
-        if not (best.fitted.converged or table.explained()):
-            table.keep_better(best, self.run([self.jobs.further(best)])[0])
         self.grown.add(best.key)
-        if table.explained():
+        if best.fitted and not (best.fitted.converged or self.table.explained()):
+            self.table.keep_better(best, self.run([self.jobs.further(best)])[0])
+        if self.table.explained() or (first and self._in_windows(best, first)):
             return
-        jobs = (self._in_windows(best, first) if first else {}) or self._to_first_order(best, first)
-        level = table.score(best) - table.temperature
-        for entry, found in zip(jobs, self.run(list(jobs.values())), strict=True):
-            entry.fitted = found if isinstance(found, Fitted) else None
-            if entry.fitted and table.score(entry) > level:
-                entry.fitted = None  # from its own start it may do better
+        self._to_first_order(best, first)
 
-    def _in_windows(self, best: Entry, first: int) -> dict[Entry, Job]:
-        """Fits of what leaves clearly less beside the best, in windows along the best's own course; none of nothing."""
+    def _best(self, first: int) -> Entry | None:
+        """The structure whose fit leaves least; where none leaves little, that which promises least in windows."""
+        table = self.table
+        fits = min((e for e in table.fitted if e.members), key=table.score, default=None)
+        if fits and table.share(fits) <= EARLY:
+            return fits
+        seen = [e for e in table.entries.values() if first and e.members and e.look and not e.failed]
+        best = min(seen, key=lambda e: table.promise(e, first), default=None)
+        return best if best and table.promise(best, first) <= EARLY else None
+
+    def _in_windows(self, best: Entry, first: int) -> bool:
+        """Fit what leaves clearly less beside the best in windows along the best's own course; whether anything does.
+
+        What explains all there is fitted as soon as it is seen.
+        """
         table, jobs = self.table, self.jobs
-        (along,) = self.run([jobs.along(best, first)])
-        if not isinstance(along, Look):
-            return {}
-        enough = EARLY * table.promise(Entry(best.members, look=along))
-        others = [table.possible((*best.members, c)) for c in table.candidates if c not in best.members]
+        along = self._course(best, first)
+        if not along:
+            return False
+        enough, found, tried = EARLY * table.promise(Entry(best.members, look=along)), [], 0
+        others = [table.possible((*best.members, c)) for c in promising(table, first) if c not in best.members]
         others = [e for e in others if compatible(e.members) and table.usable(e)]
-        seen = []
         for batch in batches(others, self.batch):
             for entry, look in zip(batch, self.run([jobs.grown(e, best, along) for e in batch]), strict=True):
                 entry.look = look if isinstance(look, Look) else None
-                seen += [entry] if entry.look and table.promise(entry) < enough else []
-        found = {}
-        for one in sorted(seen, key=table.promise)[: jobs.effort.together]:
-            entry = table.entry(one.members)
-            entry.look = entry.look or one.look
-            found |= {entry: jobs.whole_soon(entry)} if entry.open else {}
-        return found
+                found += [entry] if entry.look and table.promise(entry) < enough else []
+            if any(table.promise(e) < SAME for e in found[tried:]):
+                self._fit_seen(best, found[tried:])
+                tried = len(found)
+            if table.explained():
+                return True
+        self._fit_seen(best, found[tried:])
+        return bool(found)
 
-    def _to_first_order(self, best: Entry, first: int) -> dict[Entry, Job]:
-        """Fits of what is expected to leave least beside the best, to first order from where that was fitted."""
-        if not best.fitted.converged:
-            return {}
+    def _course(self, best: Entry, first: int) -> Look | None:
+        """The best in the shortest windows in which it leaves enough to tell what is missing; None where none does."""
+        table, values = self.table, (best.fitted or best.look).values
+        for stage in range(first - 1, len(table.question.lengths)):
+            (found,) = self.run([self.jobs.along(best, stage, values)])
+            if not isinstance(found, Look) or table.in_windows(found, stage) > DECIDING.visible:
+                return found if isinstance(found, Look) else None
+            values = found.values
+        return None
+
+    def _fit_seen(self, best: Entry, seen: Sequence[Entry]) -> None:
+        """Fit those that promise most of what was seen beside the best."""
+        jobs = {}
+        for one in sorted(seen, key=self.table.promise)[: self.jobs.effort.together]:
+            entry = self.table.entry(one.members)
+            entry.look = entry.look or one.look
+            jobs |= {entry: self.jobs.whole_soon(entry)} if entry.open else {}
+        self._fit(best, jobs)
+
+    def _to_first_order(self, best: Entry, first: int) -> None:
+        """Fit what is expected to leave least beside the best, to first order from where that was fitted."""
+        if not (best.fitted and best.fitted.converged):
+            return
         more = beside(self.jobs, best, first, self.jobs.effort.together)
         entries = [self.table.entry(m) for c in more if compatible(m := (*best.members, c))]
-        return {e: self.jobs.from_there(e, best) for e in entries if e.open and self.table.usable(e)}
+        self._fit(best, {e: self.jobs.from_there(e, best) for e in entries if e.open and self.table.usable(e)})
+
+    def _fit(self, best: Entry, jobs: dict[Entry, Job]) -> None:
+        """Keep of these fits those that leave less than the best did: from their own starts others may do better."""
+        table = self.table
+        level = table.score(best) - table.temperature if best.fitted else EARLY * table.score(table.entry())
+        for entry, found in zip(jobs, self.run(list(jobs.values())), strict=True):
+            entry.fitted = found if isinstance(found, Fitted) else None
+            if entry.fitted and table.score(entry) > level:
+                entry.fitted = None

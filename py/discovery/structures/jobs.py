@@ -73,52 +73,56 @@ class Jobs:
             if not lengths and entry.members:
                 return self.glance(entry, self.extent)
             return self.first_look(entry, min(first, lengths), limit)
-        at = len(seen.squares)
-        if at < lengths:
-            end = at + 1 if entry.members else lengths
-            limit = self.effort.look if entry.members else self.effort.seconds
-            course = self.table.entry().look.course if entry.members else ()
-            return self.of(entry, [seen.values], size=seen.size, stages=(at, end), seconds=limit, course=course)
+        if seen.end < lengths:
+            again = seen.end - 1  # shorter windows tell the states where longer ones begin
+            if not entry.members:
+                settings = {"stages": (again, lengths), "seconds": self.effort.seconds, "tells_courses": True}
+            else:
+                course = self.table.entry().look.courses[again]
+                settings = {"stages": (again, again + 2), "seconds": self.effort.look, "course": course}
+            return self.of(entry, [seen.values], size=seen.size, **settings)
         return self.whole(entry)
 
     def first_look(self, entry: Entry, end: int, limit: float) -> Job:
-        """The first look in windows before the length ``end``, from where the shortest led the base.
+        """The first look in the last windows before the length ``end``, from where these led the base.
 
         Effects have any of their sizes there, and windows begin in the states that the base's have found: what does
         nothing beside the base leaves as much. There the base has hardly bent yet to hide what it lacks. The base
-        itself, and where nothing is known of it any structure, begins where its user put it.
+        itself, and where nothing is known of it any structure, begins where its user put it, in the shortest windows.
         """
-        look, settings = self.table.entry().look, {"stages": (0, end), "seconds": limit}
+        look, settings = self.table.entry().look, {"seconds": limit}
         if not entry.members or not look or look.left is not None:
-            return self.of(entry, self.starts(entry), **settings, tells_course=not entry.members)
-        starts = self._sizes(entry.members, self.table.entry(), look.shortest)
-        return self.of(entry, starts, **settings, course=look.course, size=look.first_size)
+            return self.of(entry, self.starts(entry), **settings, stages=(0, end), tells_courses=not entry.members)
+        last = end - 1
+        starts = self._sizes(entry.members, self.table.entry(), look.after_length(last))
+        settings |= {"stages": (last, end), "course": look.courses[last], "size": look.size_at(last)}
+        return self.of(entry, starts, **settings)
 
     def from_its_start(self, entry: Entry, first: int) -> Job:
         """The first look in windows from where the user put the base, effects at usual sizes."""
         stages = (0, min(first, len(self.table.question.lengths)))
         return self.of(entry, self.starts(entry), stages=stages, seconds=self.effort.look)
 
-    def along(self, known: Entry, first: int) -> Job:
-        """A fitted structure in windows from where its fit ended, along the course that the base took."""
-        settings = {"stages": (0, first), "seconds": self.effort.look, "tells_course": True}
-        return self.of(known, [known.fitted.values], **settings, course=self.table.entry().look.course)
+    def along(self, known: Entry, stage: int, values: Mapping[str, float]) -> Job:
+        """A structure in windows of one length from known values, along the course that the base took."""
+        settings = {"stages": (stage, stage + 1), "seconds": self.effort.look, "tells_courses": True}
+        return self.of(known, [values], **settings, course=self.table.entry().look.courses[stage])
 
     def grown(self, entry: Entry, part: Entry, along: Look) -> Job:
-        """What stands beside a fitted part of a structure, at any of its sizes, in windows along the part's own course.
+        """What stands beside a part of a structure, at any of its sizes, in windows along the part's own course.
 
         What does nothing there leaves as much as the part.
         """
-        more, size = [c for c in entry.members if c not in part.members], along.first_size
-        starts = self._sizes(more, part, along.shortest)
-        settings = {"stages": (0, len(along.squares)), "seconds": self.effort.look, "size": size}
-        return self.of(entry, starts, **settings, course=along.course)
+        more = [c for c in entry.members if c not in part.members]
+        starts = self._sizes(more, part if part.fitted else self.table.entry(), along.values)
+        settings = {"stages": (along.begin, along.end), "seconds": self.effort.look, "size": along.size}
+        return self.of(entry, starts, **settings, course=along.courses[0])
 
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""
         base, stages = self.table.entry(), (0, len(self.table.question.lengths))
         start = {n: v for n, v in other.look.shortest.items() if n in self.table.names(base)}
-        return self.of(base, [start], stages=stages, tells_course=True)
+        return self.of(base, [start], stages=stages, tells_courses=True)
 
     def glance(self, entry: Entry, question: Question | None) -> Job:
         """A few steps over whole recordings from where the base ended, effects at usual sizes or a tenth of them.

@@ -139,7 +139,9 @@ class Search:
             if not self.first:
                 self._climb(entries)
             elif size == 1 and not table.explained():
-                self._look_again([e for e in entries if e.open and e.look], self.first)
+                self.growth.grow(self.first)
+                if not table.explained():
+                    self._look_again([e for e in entries if e.open and e.look], self.first)
             seen += entries
             if self.table.explained():
                 break

@@ -246,14 +246,14 @@ class Table:
             whole = score(base, Floor(self.noise, self.coloured))
             left = score(entry.look.left, Floor(self.noise, self.coloured, base.variance))
             return left / whole if whole > 0 else 1.0
-        stage = min(len(entry.look.squares), most or len(entry.look.squares)) - 1
+        stage = min(entry.look.end, most or entry.look.end) - 1
         before = self.base_in_windows(stage)
         whole = self._in_windows(before)
         return self._in_windows(self._left(entry.look, stage), before) / whole if whole > 0 else 1.0
 
     def was_right(self, entry: Entry, share: float) -> bool:
         """Whether a structure leaves no more than a ``share`` in windows of some length that show what is missing."""
-        stages = range(len(entry.look.squares) if entry.look.left is None else 0)
+        stages = range(entry.look.begin, entry.look.end if entry.look.left is None else entry.look.begin)
         return any(self.visible(k) > DECIDING.visible and self.promise(entry, k + 1) < share for k in stages)
 
     def visible(self, stage: int) -> float:
@@ -273,7 +273,8 @@ class Table:
 
     @staticmethod
     def _left(look: Look, stage: int) -> Spectrum:
-        return Spectrum(look.squares[stage : stage + 1], look.counts[stage : stage + 1])
+        k = stage - look.begin
+        return Spectrum(look.squares[k : k + 1], look.counts[k : k + 1])
 
     def _in_windows(self, left: Spectrum, base: Spectrum | None = None) -> float:
         return score(left, Floor(self.question.noise, np.zeros_like(self.coloured), base and base.variance))

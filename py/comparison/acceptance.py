@@ -12,7 +12,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.provenance import made_from
 
-from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
+from .asked import SUFFIX, Asked, check_criterion, criteria_about, judged_model, left_out
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst
@@ -115,6 +115,14 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
     changes = before.against(comparison)
     otherwise = () if variant else (*before.scored_otherwise(comparison), *before.otherwise(comparison))
     return Acceptance(model, comparison.modes[0], tuple(judged), *changes, otherwise)
+
+
+def judged_so(one: Criterion, comparison: Comparison) -> Judged:
+    """A criterion between bounds of its own on the model judged. DeclarationError where nothing tests it."""
+    asked = Asked.of(comparison)
+    model = judged_model(asked, "")
+    check_criterion(one, asked, model)
+    return judge(one, _Values(comparison, model, one, Path()))
 
 
 def _earlier(path: Path, variant: str):

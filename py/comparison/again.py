@@ -14,7 +14,7 @@ from hydrotwin.models.language.errors import DataError, HydrotwinError
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
 from hydrotwin.records import SUFFIXES, Reading, Record, import_from, read_record
 
-from .acceptance import Wanted, acceptance
+from .acceptance import Wanted, acceptance, judged_so
 from .comparison import Comparison
 from .contender import as_contender
 from .meaning import criteria_of
@@ -28,7 +28,8 @@ NUMBERS = ("rmse", "mae", "maximum", "bias", "fit_percent", "r2", "coverage")  #
 class Again:
     """One number of an evidence: as it was written, as it is now, and whether it is the same.
 
-    what : a metric of an output, or a criterion. passed : None where it was not tried; ``why`` says the reason.
+    what : a metric of an output, or a criterion. passed : None where it was not tried; ``why`` says the reason, and
+    what set the bound of a criterion beside another model or file.
     before, now : SI, or a share of 1. unit : that a criterion is written in; scale : one of it, in SI.
     """
 
@@ -82,18 +83,20 @@ def _rows(one: Evidence, file: ModelFile, model, search: _Search) -> Iterator[Ag
 
 
 def _judged(row: Mapping, found: Comparison, nothing: Again) -> Again:
-    text = row["text"]
+    """A criterion again; one beside another model or file, which the record does not hold, by the bound of then."""
+    nothing = replace(nothing, what=row["text"], before=row["value"])
     try:
-        asked = criteria_of(text, found.outputs)[0]
-        nothing = replace(nothing, unit=asked.unit, scale=asked.scale)
-        if asked.than:
-            why = "another model or file is not in the record"
-            return replace(nothing, what=text, before=row["value"], why=why)
-        (now,) = acceptance(found, Wanted((text,))).judged
+        each = criteria_of(row["text"], found.outputs)
+        one = next((c for c in each if c.output == row.get("worst")), each[0])
+        nothing = replace(nothing, unit=one.unit, scale=one.scale)
+        if one.than:
+            nothing = replace(nothing, why=f"held against the bound that {one.than} set then")
+            now = judged_so(replace(one, than="", high=row["high"]), found)
+        else:
+            (now,) = acceptance(found, Wanted((row["text"],))).judged
     except HydrotwinError as error:
-        return replace(nothing, what=text, before=row["value"], passed=False, why=str(error))
-    same = now.passed == row["passed"] and _same(row["value"], now.value)
-    return replace(nothing, what=text, before=row["value"], now=now.value, passed=same)
+        return replace(nothing, passed=False, why=str(error))
+    return replace(nothing, now=now.value, passed=now.passed == row["passed"] and _same(row["value"], now.value))
 
 
 def _compared(one: Evidence, model, search: _Search) -> Comparison:
@@ -111,6 +114,7 @@ def _compared(one: Evidence, model, search: _Search) -> Comparison:
         rates=[name for name in asked.get("rates", ()) if name in outputs],
         interpolation={name: how for name, how in asked.get("interpolation", {}).items() if name in inputs},
         initial_states=str(asked.get("initial_states", MEASURED)),
+        known=list(asked.get("known", ())),
         repeats=0,
     )
 

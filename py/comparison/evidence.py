@@ -15,9 +15,11 @@ from hydrotwin.models.language.provenance import made_from
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import Record
 from hydrotwin.records.reading import beside, reading_told
+from hydrotwin.records.unbroken import unknown_stretches
 
 from .acceptance import Acceptance
 from .comparison import Comparison, Entrant, Score
+from .elsewhere import input_names
 from .rates import rate_name
 
 KEPT = ("rmse", "mae", "maximum", "fit_percent", "bias", "r2", "coverage")  # metrics that stay in a model file
@@ -102,7 +104,12 @@ def _evidence(
         "initial_states": "estimated"
         if any(s.model == name and s.estimate.states for s in comparison.starts)
         else "measured",
-        "asked": {"modes": list(comparison.modes), "outputs": _outputs(comparison, asked), **asked},
+        "asked": {
+            "modes": list(comparison.modes),
+            "outputs": _outputs(comparison, asked),
+            **_cut_by(comparison),
+            **asked,
+        },
         "untrusted_bands": _untrusted(comparison, name),
         "failures": [f"{f.record}, {f.mode}: {f.sentence}" for f in comparison.failures if f.model == name],
     }
@@ -137,6 +144,13 @@ def _outputs(comparison: Comparison, asked: Mapping) -> list[str]:
     """The scored outputs without their slopes."""
     slopes = {rate_name(name) for name in asked.get("rates", ())}
     return [s.name for s in comparison.outputs if s.name not in slopes]
+
+
+def _cut_by(comparison: Comparison) -> dict:
+    """Inputs that recordings lack in some stretch: all models start anew behind it, also those that do not read it."""
+    names = input_names(comparison.entrants)
+    lost = [n for n in names if any(n in r and unknown_stretches(r.time, r[n]).any() for r in comparison.records)]
+    return {"known": lost} if lost else {}
 
 
 def fitted_recordings(file: ModelFile) -> frozenset[str]:

@@ -55,6 +55,7 @@ def compare(
     progress: Callable[[int, int, str], None] | None = None,
     interpolation: Mapping[str, str] | None = None,
     initial_states: str = "measured",
+    known: Sequence[str] = (),
     executor: str | Executor = "here",
     memory: Memory | None = None,
     curves: int | None = None,
@@ -73,6 +74,7 @@ def compare(
     initial_states : "measured": first samples count as exact, and models find the rest of their start; "auto" and
         "free": physical models have it estimated from the first part of each recording, see `estimate_start`. All
         samples are scored, the first part too.
+    known : signals, beside the inputs of all contenders, without which nothing runs: runs begin anew behind a hole.
     executor : where the runs are made, see `executor_for`; the numbers are the same to the bit. A contender without
         ``content`` runs here.
     memory : keeps finished runs; those that it knows are not made again.
@@ -86,16 +88,16 @@ def compare(
     contenders = [as_contender(c) for c in contenders]
     signals = [*_signals(contenders), *(s for c in contenders for s in c.inputs)]
     records, train_records = ([as_needed(r, signals) for r in some] for some in (records, train_records))
-    records = measured_in(contenders, distinct(records)[0])
+    known = tuple(dict.fromkeys((*input_names(contenders), *known)))
+    records = measured_in(contenders, distinct(records)[0], known)
     modes = tuple(dict.fromkeys(modes))  # one that is named twice counts once
     _check(contenders, records, modes)
     contenders = _settled(contenders, records, interpolation or {})
     wanted = wanted_of(contenders, records, outputs)
     sloped = wanted_of(contenders, records, rates) if rates else []
     how = check_initial_states(initial_states, "compare")
-    plan = Plan(
-        tuple(modes), tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), how, input_names(contenders)
-    )
+    slopes = tuple(rate_signal(s) for s in sloped)
+    plan = Plan(tuple(modes), tuple(wanted), tuple(sloped), slopes, how, known)
     noise = [noise_floor(r) for r in records]
     records = [with_rates(r, sloped) for r in records]
     drawn = _drawn(curves, len(contenders) * len(modes) * len(plan.wanted + plan.rates), len(records))
@@ -129,12 +131,12 @@ def compare(
     )
 
 
-def measured_in(contenders: Sequence[Contender], records: Sequence[Record]) -> list[Record]:
+def measured_in(contenders: Sequence[Contender], records: Sequence[Record], known: Sequence[str]) -> list[Record]:
     """The recordings without outputs that none of their samples knows: they hold them no more than a file without.
 
-    Samples between holes that are too few for a run are unknown, too.
+    Samples between holes, also of what else must be ``known``, that are too few for a run are unknown, too.
     """
-    outputs, known = list(_signals(contenders)), input_names(contenders)
+    outputs = list(_signals(contenders))
     return [_in_parts(without_unknown(r, outputs), [s.name for s in outputs], known) for r in records]
 
 

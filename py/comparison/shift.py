@@ -9,6 +9,7 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 Parts = Sequence[np.ndarray]  # of a curve, (n,) each: what is between its holes
 ALIKE = 1e-10  # correlations nearer to each other than this are one
+CHANCE = 4.0  # over the root of the samples: how far apart Fisher's z of two shifts may be by noise alone
 
 
 def correlations(measured: Parts, predicted: Parts, reach: int) -> np.ndarray:
@@ -38,10 +39,19 @@ def _overlap(y: np.ndarray, p: np.ndarray, reach: int) -> np.ndarray:
     return found
 
 
-def first_best(found: np.ndarray) -> int:
-    """The shift of the highest correlation, in samples; the smallest one of those that are alike."""
-    reach = len(found) // 2
-    best = np.flatnonzero(found >= found.max() - ALIKE) - reach
+def first_best(found: np.ndarray, samples: int) -> int:
+    """The shift of the highest correlation, in samples; the smallest one of those that are alike.
+
+    A motion that repeats correlates as well a period later: of stretches of shifts in which it is as high as the
+    highest, but for what noise of ``samples`` does (Fisher's z = artanh r), it is the one nearest to no shift.
+    Source: Fisher, Metron 1 (1921) 3-32.
+    """
+    shifts = np.arange(len(found)) - len(found) // 2
+    z = np.arctanh(np.clip(found, ALIKE - 1, 1 - ALIKE))
+    as_high = z >= z.max() - CHANCE / np.sqrt(samples)
+    stretch, nearest = np.cumsum(~as_high), np.argmin(np.where(as_high, np.abs(shifts), np.inf))
+    here = as_high & (stretch == stretch[nearest])
+    best = shifts[here & (found >= found[here].max() - ALIKE)]
     return int(min(best, key=lambda k: (abs(k), -k)))
 
 
@@ -56,7 +66,7 @@ def lag(measured: Parts, predicted: Parts, period: float, share: float) -> float
     if reach < 1 or not np.ptp(np.concatenate(measured)) or not np.ptp(np.concatenate(predicted)):
         return float("nan")
     found = correlations(measured, predicted, reach)
-    k = first_best(found)
+    k = first_best(found, sum(map(len, measured)))
     if abs(k) == reach or not np.isfinite(found[k + reach - 1 : k + reach + 2]).all():
         return float("nan")
     left, top, right = found[k + reach - 1 : k + reach + 2]

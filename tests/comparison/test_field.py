@@ -183,6 +183,25 @@ def test_what_is_no_criterion_is_refused_with_the_way_out(text, says):
         criterion(text, ANGLE)
 
 
+@pytest.mark.parametrize("late", [0.0, 0.04])
+def test_of_a_motion_that_repeats_the_lag_is_the_smallest(late):
+    """Whole periods later it correlates as well but for noise, which had chosen: 1 s, -2 s or none of a right model."""
+    for seed in range(5):
+        noise = 0.02 * np.random.default_rng(seed).standard_normal(len(TIME))
+        found = metrics_of(np.sin(4 * np.pi * TIME) + noise, np.sin(4 * np.pi * (TIME - late)))
+        assert found.lag == pytest.approx(late, abs=2e-3) and found.phase == pytest.approx(1 - late / 2, abs=0.01)
+
+
+def test_noise_of_both_does_not_draw_a_lag_to_zero():
+    slow, random = (
+        np.cumsum(np.random.default_rng(3).standard_normal((2, len(TIME))), axis=1)[0],
+        np.random.default_rng(4),
+    )
+    slow = np.convolve(slow / np.std(slow), np.ones(50) / 50, "same")
+    y, p = slow + 0.3 * random.standard_normal(len(TIME)), np.roll(slow, 30) + 0.3 * random.standard_normal(len(TIME))
+    assert metrics_of(y, p, rated=False).lag == pytest.approx(0.3, abs=0.06)
+
+
 def test_a_lag_is_judged_by_its_size_and_nothing_found_fails_with_a_sentence():
     early = judge(criterion("arm_angle.lag < 20 ms", ANGLE), lambda *_: -0.03)
     assert not early.passed and early.value == 0.03 and not early.undefined

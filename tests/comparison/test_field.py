@@ -83,6 +83,31 @@ def test_settling_is_the_difference_of_the_settling_times():
     assert np.mean([settling_of(u, y + e, slower) for e in noise]) == pytest.approx(0.15 * np.log(20), abs=0.06)
 
 
+def test_noise_of_a_sensor_makes_no_wrong_settling_time_smaller():
+    """Its width was the band in place of 5 % of the move, within which a slow prediction settles as soon."""
+    u, y, slower = answers(0.2, 0.35)
+    noise = 0.03 * np.random.default_rng(1).standard_normal((6, len(TIME)))
+    assert np.mean([settling_of(u, y + e, slower) for e in noise]) == pytest.approx(0.15 * np.log(20), abs=0.06)
+
+
+@pytest.mark.parametrize("every", [2, 5])
+@pytest.mark.parametrize("of", ["output", "input"])
+def test_a_slower_raster_rests_as_its_samples_do(of, every):
+    """Between them it was unknown, so that it never came to rest, and neither settling nor steady were defined."""
+    u, y, slower = answers(0.2, 0.35)
+    seen, slow = np.arange(len(TIME)) % every == 0, 0.001 * np.random.default_rng(2).standard_normal(len(TIME))
+    y, u = (np.where(seen, y + slow, np.nan), u) if of == "output" else (y + slow, np.where(seen, u, np.nan))
+    found = field_of(u, y, slower + 0.1)
+    assert found.settling == pytest.approx(0.15 * np.log(20), abs=0.05) and found.steady == pytest.approx(0.1, abs=2e-3)
+
+
+def test_a_hole_of_a_slower_sensor_is_no_rest():
+    u, y = answers(0.2)
+    rough = y + np.where(np.arange(len(TIME)) % 100 < 50, 0.02, -0.02)  # it never rests
+    seen = (np.arange(len(TIME)) % 5 == 0) & ~((TIME > 2) & (TIME < 3.9))
+    assert np.isnan(field_of(u, np.where(seen, rough, np.nan), y).settling)
+
+
 def test_every_step_of_a_staircase_is_a_move():
     """Levels of a command are no rounding, however small beside its range."""
     stairs = np.floor(TIME) / 10

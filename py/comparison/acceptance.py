@@ -151,7 +151,10 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         flat=_flat(comparison, about, holding),
         holes=holes_of(judged_on, comparison.entrants),
         beside=beside_holes(judged_on, comparison.entrants),
-        otherwise=_started_otherwise(comparison, model, about.than, holding),
+        otherwise=(
+            *_started_otherwise(comparison, model, about.than, holding),
+            *_started_untold(comparison, model, holding),
+        ),
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))
@@ -167,7 +170,7 @@ def _held_against(one: Judged, comparison: Comparison, wanted: Wanted) -> Judged
     if not about.than.endswith(SUFFIX):
         return one
     before = earlier(wanted.folder(about.text) / about.than)
-    return dataclasses.replace(one, otherwise=before.otherwise(comparison))
+    return dataclasses.replace(one, otherwise=(*one.otherwise, *before.otherwise(comparison)))
 
 
 def _reason(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> str:
@@ -204,6 +207,12 @@ def _started_otherwise(comparison: Comparison, model: str, than: str, holding: t
         return ()
     one, other = (model, than) if (model, differ[0]) in estimated else (than, model)
     return (f"The start of {one} was estimated on {some_of(differ)}, and that of {other} was not.",)
+
+
+def _started_untold(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
+    """That the judged model has something told of where it starts, in a sentence."""
+    noted = dict.fromkeys(s.of for s in comparison.starts if s.model == model and s.of in holding and s.estimate.note)
+    return (f"On {some_of(tuple(noted))} {model} starts as without an estimate.",) if noted else ()
 
 
 def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) -> str:

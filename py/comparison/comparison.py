@@ -196,14 +196,14 @@ class Comparison:
         return f"Comparison '{self.title}': {', '.join(self.models)} on {on}; {len(self.scores)} scores"
 
     def _repr_html_(self) -> str:
-        from .notices import notices
+        from .notices import notices, starts_told
 
         return summary_html(
             self.title,
             self._best(),
             {"models": len(self.models), "recordings": len(self.records), "failures": len(self.failures)},
             [SmallTable(f"{self.modes[0]}, means over the recordings, SI", _SHOWN, self._shown())],
-            [*notices(self), *map(str, self.starts)],
+            [*notices(self), *starts_told(self.starts)],
         )
 
     def _best(self) -> str:

@@ -18,6 +18,7 @@ from .uneven import uneven
 
 if TYPE_CHECKING:
     from .comparison import Comparison
+    from .starts import Started
 
 
 def notices(comparison: Comparison) -> tuple[str, ...]:
@@ -31,6 +32,15 @@ def remarks(comparison: Comparison) -> list[str]:
     """Those that a terminal has not told in another way: of recordings as they are read, of failures and of inaccurate
     runs as they happen."""
     return _made(comparison) + _unlikely(comparison) + _sizes(comparison) + _cut(comparison) + _uneven(comparison)
+
+
+def starts_told(starts: Sequence[Started]) -> list[str]:
+    """Where models start, in sentences: the same of several recordings in one."""
+    alike: dict[str, list[Started]] = {}
+    for one in starts:
+        alike.setdefault(one.noted("") if one.estimate.note else str(one), []).append(one)
+    noted = [(some[0], some_of([s.estimate.record for s in some])) for some in alike.values()]
+    return [one.noted(where) if one.estimate.note else str(one) for one, where in noted]
 
 
 def _sizes(comparison: Comparison) -> list[str]:

@@ -27,8 +27,7 @@ class Started:
         """In a sentence."""
         told = self.estimate
         if told.note:
-            there = "" if told.record == self.of else ", as if it began there"
-            return f"{self.model} on {told.record} starts as without an estimate{there}: {told.note}"
+            return self.noted(told.record)
         if not told.states:
             return f"{self.model} on {told.record}: nothing to estimate at the start."
         first, last = told.seconds
@@ -36,6 +35,11 @@ class Started:
             f"{self.model} on {told.record}: start of {', '.join(s.name for s in told.states)} estimated from "
             f"{first:.4g} s to {last:.4g} s ({told.samples} samples), which is scored too."
         )
+
+    def noted(self, where: str) -> str:
+        """Its note, of the recordings ``where``."""
+        there = "" if self.estimate.record == self.of else ", as if it began there"
+        return f"{self.model} on {where} starts as without an estimate{there}: {self.estimate.note}"
 
 
 def not_estimated(record: str) -> StartEstimate:

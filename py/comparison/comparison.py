@@ -171,7 +171,7 @@ class Comparison:
 
     ``means`` are Scores with record = MEAN. ``records`` are the validation recordings, ``train_records`` those the
     models were made from. ``starts`` says how models start, where that was estimated. ``inaccurate`` are runs whose
-    solver missed the accuracy.
+    solver missed the accuracy. ``asked`` are the arguments of `compare` by which it can be made again, as data.
     """
 
     title: str
@@ -190,6 +190,7 @@ class Comparison:
     residuals: tuple[Residual, ...]
     starts: tuple[Started, ...] = ()
     inaccurate: tuple[Inaccurate, ...] = ()
+    asked: Mapping[str, object] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         on = ", ".join(r.name for r in self.records)

@@ -14,6 +14,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, neares
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, as_needed, distinct, noise_floor, unbroken, without_unknown
 from hydrotwin.records.between import between, settled, told
+from hydrotwin.records.unbroken import unknown_stretches
 from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.executor import Here, executor_for
 from hydrotwin.work.memory import Memory, recalled
@@ -128,7 +129,17 @@ def compare(
         residuals=tuple(r for one in done for r in one.residuals),
         starts=starts,
         inaccurate=_inaccurate(jobs, done),
+        asked=_asked(plan, interpolation or {}, records),
     )
+
+
+def _asked(plan: Plan, interpolation: Mapping[str, str], records: Sequence[Record]) -> dict:
+    """How a comparison can be made again of one of its models: with the inputs that recordings lack in some stretch, for
+    all models start anew behind it."""
+    lost = [n for n in plan.known if any(n in r and unknown_stretches(r.time, r[n]).any() for r in records)]
+    told = {"modes": list(plan.modes), "outputs": [s.name for s in plan.wanted], "rates": [s.name for s in plan.sloped]}
+    told |= {"initial_states": plan.initial_states, "interpolation": dict(interpolation), "known": lost}
+    return {key: value for key, value in told.items() if value}
 
 
 def measured_in(contenders: Sequence[Contender], records: Sequence[Record], known: Sequence[str]) -> list[Record]:

@@ -8,6 +8,8 @@ import tomllib
 import numpy as np
 import pytest
 
+import hydrotwin as ht
+from hydrotwin.comparison import Wanted, acceptance, replay
 from hydrotwin.records import Record, write_record
 from tests.face.command_line import hydrotwin
 
@@ -137,3 +139,14 @@ def test_a_criterion_beside_another_model_is_made_again_where_runs_were_cut_for_
     assert overall["why"] == "held against the bound that watched set then" and overall["unit"] in ("mm", "mm/s")
     [worst] = [row["worst"] for row in tomllib.loads(file.read_text())["credibility"]["evidence"][-1]["criteria"][:1]]
     assert overall["unit"] == {"position": "mm", "position.rate": "mm/s"}[worst]
+
+
+def test_a_comparison_from_python_says_itself_how_it_was_asked(folder, tmp_path):
+    """Starts, slopes and inputs between samples had to be said once more, or every number made again was another."""
+    file = tmp_path / "m.toml"
+    file.write_text((folder / "m.toml").read_text(encoding="utf-8").partition("[credibility]")[0], encoding="utf-8")
+    model = ht.load(f"{folder}/rig.py:slide@{file}")
+    asked = {"initial_states": "free", "rates": ["position"], "interpolation": {"force": "linear"}, "repeats": 0}
+    found = ht.compare([model], [ht.read_record(folder / "run.csv")], modes=["free run"], **asked)
+    ht.record_comparison(file, found, acceptance(found, Wanted(("position.rate.rmse < 1 m/s",))))
+    assert all(row.passed for row in replay(file, model))

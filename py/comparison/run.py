@@ -134,7 +134,7 @@ def compare(
 
 
 def _asked(plan: Plan, interpolation: Mapping[str, str], records: Sequence[Record]) -> dict:
-    """How a comparison can be made again of one of its models: with the inputs that recordings lack in some stretch, for
+    """How a comparison can be made again of one of its models: with inputs that recordings lack in some stretch, for
     all models start anew behind it."""
     lost = [n for n in plan.known if any(n in r and unknown_stretches(r.time, r[n]).any() for r in records)]
     told = {"modes": list(plan.modes), "outputs": [s.name for s in plan.wanted], "rates": [s.name for s in plan.sloped]}

@@ -11,6 +11,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.provenance import made_from
+from hydrotwin.records.sizes import made_by_few
 
 from .asked import SUFFIX, Asked, check_criterion, criteria_about, judged_model, left_out
 from .changes import Change
@@ -154,6 +155,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         otherwise=(
             *_started_otherwise(comparison, model, about.than, holding),
             *_started_untold(comparison, model, holding),
+            *_made_by_few(comparison, model, about, holding),
         ),
     )
     if np.isinf(one.value):
@@ -213,6 +215,15 @@ def _started_untold(comparison: Comparison, model: str, holding: tuple[str, ...]
     """That the judged model has something told of where it starts, in a sentence."""
     noted = dict.fromkeys(s.of for s in comparison.starts if s.model == model and s.of in holding and s.estimate.note)
     return (f"On {some_of(tuple(noted))} {model} starts as without an estimate.",) if noted else ()
+
+
+def _made_by_few(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> list[str]:
+    """That a few samples make the range of its output, or of an input that must rest, of a metric that counts by it."""
+    metric, names = METRICS[about.metric], [about.output]
+    if metric.at_times:
+        names += [s.name for e in comparison.entrants if e.name == model for s in e.inputs]
+    found = made_by_few([r for r in comparison.records if r.name in holding], names) if metric.by_range else []
+    return [sentence.partition(",")[0] for sentence in found]
 
 
 def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) -> str:

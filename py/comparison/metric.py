@@ -19,7 +19,8 @@ class Metric:
     of : what it is measured in. field : of a `Score`; "" where it is made from one. least, most : what it can be, in SI
     or as a share of 1. best : the larger the better. sized : judged by its size, whatever its sign. of_band : a model
     without a band has none. at_times : over recordings it is the mean of those in which it is defined: not all rest.
-    from_zero : it holds errors against the size of the measurement, from the zero of its SI unit on. percent : people
+    from_zero : it holds errors against the size of the measurement, from the zero of its SI unit on. by_range : it
+    counts by the range of the measurement, or by what rests within it. percent : people
     read this share in percent. undefined : why a recording has no number of
     it, with ``{output}``.
     """
@@ -34,6 +35,7 @@ class Metric:
     of_band: bool = False
     at_times: bool = False
     from_zero: bool = False
+    by_range: bool = False
     percent: bool = False
 
     @property
@@ -50,7 +52,7 @@ METRICS: Mapping[str, Metric] = {
     "mae": Metric(OF_OUTPUT, "mae"),
     "max": Metric(OF_OUTPUT, "maximum"),
     "bias": Metric(OF_OUTPUT, "bias", sized=True),
-    "nrmse": Metric(SHARE, "", _STILL, percent=True),  # of the range of the measurement
+    "nrmse": Metric(SHARE, "", _STILL, percent=True, by_range=True),  # of the range of the measurement
     "fit": Metric(SHARE, "fit_percent", _STILL, -math.inf, 1.0, best=True, percent=True),  # the NRMSE fit
     "coverage": Metric(SHARE, "coverage", _NO_BAND, most=1.0, best=True, of_band=True, percent=True),  # of a 95 % band
     "r2": Metric(SHARE, "r2", _STILL, -math.inf, 1.0, best=True),  # the coefficient of determination
@@ -66,11 +68,11 @@ METRICS: Mapping[str, Metric] = {
     ),
     "settling": Metric(  # how much longer or shorter it takes to settle
         TIME, "settling", "{output} never comes to rest after the inputs moved, and rest, or lacks samples there",
-        sized=True, at_times=True,
+        sized=True, at_times=True, by_range=True,
     ),
     "steady": Metric(  # the mean error of every rest of inputs and measurement, in size
         OF_OUTPUT, "steady", "the inputs and {output} never rest together, or it lacks samples where they do",
-        sized=True, at_times=True,
+        sized=True, at_times=True, by_range=True,
     ),
     "vv20": Metric(PLAIN, "vv20", _NO_BAND, of_band=True),  # RMSE over the validation uncertainty of ASME V&V 20
 }  # fmt: skip

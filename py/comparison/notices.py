@@ -10,7 +10,7 @@ import numpy as np
 from hydrotwin.models.language.provenance import made_from, told_since
 from hydrotwin.records import all_unbroken, cuts, turned_back
 from hydrotwin.records.between import shown_otherwise
-from hydrotwin.records.sizes import far_from_usual
+from hydrotwin.records.sizes import far_from_usual, made_by_few
 
 from .criteria import some_of
 from .elsewhere import input_names
@@ -44,8 +44,10 @@ def starts_told(starts: Sequence[Started]) -> list[str]:
 
 
 def _sizes(comparison: Comparison) -> list[str]:
-    """Columns of most likely another unit, and inputs that do something else between their samples."""
-    found = far_from_usual(comparison.records, [s for e in comparison.entrants for s in (*e.inputs, *e.outputs)])
+    """Columns of most likely another unit, those whose range a few samples make, and inputs that do something else
+    between their samples."""
+    signals = [s for e in comparison.entrants for s in (*e.inputs, *e.outputs)]
+    found = far_from_usual(comparison.records, signals) + made_by_few(comparison.records, [s.name for s in signals])
     taken: dict[str, list[str]] = {}
     for entrant in comparison.entrants:
         for doubt in shown_otherwise(entrant.inputs, comparison.records):

@@ -12,7 +12,8 @@ from hydrotwin.identification.beginning import MEASURED
 from hydrotwin.models.language.credibility import COMPARE, Evidence
 from hydrotwin.models.language.errors import DataError, HydrotwinError
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
-from hydrotwin.records import SUFFIXES, Reading, Record, import_from, read_record
+from hydrotwin.records import SUFFIXES, Reading, Record, import_from
+from hydrotwin.records.files import read_by
 
 from .acceptance import Wanted, acceptance, judged_so
 from .comparison import Comparison
@@ -139,8 +140,8 @@ class _Search:
             looked = ", ".join(map(str, self.folders))
             below = f", nor below {looked}" if looked else ". Say where recordings are: --recordings FOLDER"
             raise DataError(f"no file has the SHA-256 of {row['name']}: {where}{below}")
-        reading = reading.over(import_from(row.get("import", {}), "record"))  # what stood beside it then
-        return replace(read_record(path, reading), name=row["name"], tags=dict(row.get("tags", {})))
+        reading = reading.over(import_from(row.get("import", {}), "record"))  # what stood beside it then, and not now
+        return replace(read_by(path, reading), name=row["name"], tags=dict(row.get("tags", {})))
 
     def _likely(self, row: Mapping) -> Iterator[Path]:
         """Where it was; then files of its name; then all others."""

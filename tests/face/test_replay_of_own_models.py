@@ -112,6 +112,7 @@ def test_what_stood_beside_a_recording_is_part_of_the_question_and_of_its_replay
     assert hydrotwin("check", own).said.count("compare on") == 2
     (tmp_path / "moved").mkdir()
     (tmp_path / "run.csv").rename(tmp_path / "moved/run.csv")
+    (tmp_path / "moved/import.toml").write_text('scale = {force = "3 N/N"}\n', encoding="utf-8")  # of what lay there
     answer = hydrotwin("check", own, "--replay", "--recordings", tmp_path / "moved")
     assert "same" in answer.said and "OTHER" not in answer.said, answer.said
 

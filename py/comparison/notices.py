@@ -12,6 +12,7 @@ from hydrotwin.records import all_unbroken, cuts, turned_back
 from hydrotwin.records.between import shown_otherwise
 from hydrotwin.records.sizes import far_from_usual, made_by_few
 
+from .comparison import FREE_RUN, ONE_STEP
 from .criteria import some_of
 from .elsewhere import input_names
 from .uneven import uneven
@@ -25,13 +26,14 @@ def notices(comparison: Comparison) -> tuple[str, ...]:
     """All of them: what a model was made from, what failed, what cannot be believed, what recordings lack."""
     first = _made(comparison) + _inaccurate(comparison) + _failures(comparison) + _unlikely(comparison)
     found = _sizes(comparison) + _cut(comparison) + _turned(comparison) + _holes(comparison) + _uneven(comparison)
-    return tuple(first + found)
+    return tuple(first + found + _slower(comparison))
 
 
 def remarks(comparison: Comparison) -> list[str]:
     """Those that a terminal has not told in another way: of recordings as they are read, of failures and of inaccurate
     runs as they happen."""
-    return _made(comparison) + _unlikely(comparison) + _sizes(comparison) + _cut(comparison) + _uneven(comparison)
+    found = _made(comparison) + _unlikely(comparison) + _sizes(comparison) + _cut(comparison) + _uneven(comparison)
+    return found + _slower(comparison)
 
 
 def starts_told(starts: Sequence[Started]) -> list[str]:
@@ -184,6 +186,19 @@ def _holes(comparison: Comparison) -> list[str]:
     return found
 
 
+def _slower(comparison: Comparison) -> list[str]:
+    """Outputs that are not known in the row before: one step ahead nothing is taken from them."""
+    slow: dict[str, list[str]] = {}
+    for record in comparison.records if ONE_STEP in comparison.modes else ():
+        known = {s.name: np.flatnonzero(np.isfinite(record[s.name])) for s in comparison.outputs if s.name in record}
+        for name in (name for name, at in known.items() if len(at) > 1 and np.median(np.diff(at)) > 1):
+            slow.setdefault(name, []).append(record.name)
+    return [
+        f"{name} of {some_of(records)} has no value in the row before: one step ahead its state is as in the free run."
+        for name, records in slow.items()
+    ]
+
+
 def _uneven(comparison: Comparison) -> list[str]:
     """Outputs whose means rest on recordings of very different numbers of known samples."""
     told: dict[str, list[str]] = {}
@@ -213,10 +228,12 @@ def _untrusted(comparison: Comparison) -> list[str]:
 
 
 def _too_good(comparison: Comparison) -> list[str]:
-    """Models whose one-step error is below the noise of the sensor."""
+    """Models whose one-step error is below the noise of the sensor; where that of a free run is, too, which sees no
+    sample, the noise is less than it seems: of a slow sensor its motion counts as noise."""
     outputs: dict[str, dict[str, list[str]]] = {}
+    below = {(s.model, s.output, s.record) for s in comparison.scores if s.mode == FREE_RUN and s.below_noise}
     for s in comparison.scores:
-        if s.too_good:
+        if s.too_good and (s.model, s.output, s.record) not in below:
             outputs.setdefault(s.model, {}).setdefault(s.output, []).append(s.record)
     return [
         f"{model} is too good to be true one step ahead on {_where(found)}: its error is below the noise of the "

@@ -71,3 +71,22 @@ def test_noise_and_levels_are_no_range_of_a_few():
     for n in (50, 200, 500):
         noise = {"n": random.standard_normal(n)}
         assert not made_by_few([Record(time[:n], noise, {"n": "m"}, "r")], noise)
+
+
+def test_one_step_ahead_of_a_slower_sensor_is_told_to_be_the_free_run():
+    record = recording(1)
+    slow = record.with_signals({"arm_angle": np.where(np.arange(len(record)) % 4 == 0, record["arm_angle"], np.nan)})
+    for modes, said in ((("one step",), True), (("free run",), False)):
+        found = notices(compare([Toy("good")], [slow, recording(2)], repeats=0, modes=modes))
+        assert any(one.startswith("arm_angle of validation_1 has no value in the row before") for one in found) is said
+
+
+def test_an_error_below_what_seems_noise_in_a_free_run_too_has_seen_no_sample():
+    """Of a slow sensor its motion counts as noise: a right model was told to be too good to be true."""
+    record = recording(1)
+    own = compare([Toy("good")], [record], repeats=0)
+    for free, said in ((0.1, False), (1.0, True)):
+        noise = {"free run": free, "one step": 0.1}
+        scores = [dataclasses.replace(s, noise=10.0, rmse=10.0 * noise[s.mode]) for s in own.scores]
+        found = notices(dataclasses.replace(own, scores=tuple(scores)))
+        assert any("too good to be true" in one for one in found) is said

@@ -195,7 +195,7 @@ def test_each_is_read_in_its_unit(text, low, high):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("arm_angle.lag < 20", "lag is in ms. Write 20 ms"),
+        ("arm_angle.lag < 20", "lag is in ms. Write 20 s, or 20 ms"),
         ("arm_angle.lag < 20 deg", "'deg' does not fit"),
         ("arm_angle.vv20 < 2 s", "is a number"),
         ("arm_angle.iso18517 > 0.9", "Did you mean 'iso18571'"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -156,6 +156,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
             *_started_otherwise(comparison, model, about.than, holding),
             *_started_untold(comparison, model, holding),
             *_made_by_few(comparison, model, about, holding),
+            *_repeats(values.rows(model).values(), about, holding),
         ),
     )
     if np.isinf(one.value):
@@ -224,6 +225,15 @@ def _made_by_few(comparison: Comparison, model: str, about: Criterion, holding: 
         names += [s.name for e in comparison.entrants if e.name == model for s in e.inputs]
     found = made_by_few([r for r in comparison.records if r.name in holding], names) if metric.by_range else []
     return [sentence.partition(",")[0] for sentence in found]
+
+
+def _repeats(rows: Iterable[Score], about: Criterion, holding: tuple[str, ...]) -> tuple[str, ...]:
+    """That a lag by whole periods does not show in a motion that repeats, in a sentence."""
+    found = {s.record: s.repeats for s in rows if s.record in holding and METRICS[about.metric].of_shift}
+    known = {name: value for name, value in found.items() if np.isfinite(value)}
+    if not known:
+        return ()
+    return (f"Nobody can tell it from {min(known.values()):.3g} s more or less on {some_of(tuple(known))}",)
 
 
 def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) -> str:

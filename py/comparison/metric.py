@@ -20,9 +20,8 @@ class Metric:
     or as a share of 1. best : the larger the better. sized : judged by its size, whatever its sign. of_band : a model
     without a band has none. at_times : over recordings it is the mean of those in which it is defined: not all rest.
     from_zero : it holds errors against the size of the measurement, from the zero of its SI unit on. by_range : it
-    counts by the range of the measurement, or by what rests within it. percent : people
-    read this share in percent. undefined : why a recording has no number of
-    it, with ``{output}``.
+    counts by the range of the measurement, or by what rests within it. of_shift : by the shift that fits best.
+    percent : people read this share in percent. undefined : why a recording has no number of it, with ``{output}``.
     """
 
     of: str
@@ -36,6 +35,7 @@ class Metric:
     at_times: bool = False
     from_zero: bool = False
     by_range: bool = False
+    of_shift: bool = False
     percent: bool = False
 
     @property
@@ -59,12 +59,12 @@ METRICS: Mapping[str, Metric] = {
     "theil": Metric(SHARE, "theil", _STILL, most=1.0, from_zero=True),  # Theil's inequality coefficient
     "iso18571": Metric(  # the overall rating of ISO/TS 18571
         SHARE, "iso18571", "{output} or its prediction does not move, is too short, or the mode is not free run",
-        most=1.0, best=True, from_zero=True,
+        most=1.0, best=True, from_zero=True, of_shift=True,
     ),
     "lag": Metric(  # how late or early the prediction is
         TIME, "lag",
         "{output} or its prediction does not move, or they do not correlate best within a fifth of the recording",
-        sized=True,
+        sized=True, of_shift=True,
     ),
     "settling": Metric(  # how much longer or shorter it takes to settle
         TIME, "settling", "{output} never comes to rest after the inputs moved, and rest, or lacks samples there",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -215,6 +217,16 @@ def test_of_a_motion_that_repeats_the_lag_is_the_smallest(late):
         noise = 0.02 * np.random.default_rng(seed).standard_normal(len(TIME))
         found = metrics_of(np.sin(4 * np.pi * TIME) + noise, np.sin(4 * np.pi * (TIME - late)))
         assert found.lag == pytest.approx(late, abs=2e-3) and found.phase == pytest.approx(1 - late / 2, abs=0.01)
+        assert found.repeats == pytest.approx(0.5)
+
+
+def test_a_lag_that_may_be_a_period_more_says_so():
+    found = compare([Toy("good")], [recording(1)], modes=["free run"], outputs=["arm_angle"], repeats=0)
+    for repeats, said in ((0.5, "Nobody can tell it from 0.5 s more or less on validation_1"), (np.nan, "")):
+        (score,) = found.scores
+        known = dataclasses.replace(found, scores=(dataclasses.replace(score, lag=0.01, repeats=repeats),))
+        lag, rmse = acceptance(known, Wanted(("arm_angle.lag < 20 ms", "arm_angle.rmse < 9 rad"))).judged
+        assert lag.passed and lag.caution == said and not rmse.caution
 
 
 def test_noise_of_both_does_not_draw_a_lag_to_zero():

@@ -19,7 +19,7 @@ from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst
 from .earlier import earlier
 from .elsewhere import beside_holes, holes_of
-from .metric import AGAIN, METRICS, SCORED
+from .metric import AGAIN, METRICS, OF_OUTPUT, SCORED
 from .rating import INNER
 from .sentence import other_of
 from .tags import of_group
@@ -312,4 +312,9 @@ class _Values:
             return float("nan")
         key = (self.model, self.criterion.output, self.comparison.modes[0])
         found.check_key(self.criterion.text, key)
-        return found.value(key, metric, [r for r in self.comparison.records if r.name in holding]) * (1 + AGAIN)
+        records = [r for r in self.comparison.records if r.name in holding]
+        size = (
+            found.value(key, "rmse", records) if METRICS[metric].of == OF_OUTPUT else 0.0
+        )  # a bias may be next to none
+        before = found.value(key, metric, records)
+        return before + AGAIN * max(before, size)

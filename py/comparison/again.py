@@ -18,8 +18,9 @@ from hydrotwin.records.files import read_by
 from .acceptance import Wanted, acceptance, judged_so
 from .comparison import Comparison
 from .contender import as_contender
+from .criteria import Criterion
 from .meaning import criteria_of
-from .metric import AGAIN
+from .metric import AGAIN, METRICS, OF_OUTPUT
 from .run import compare
 
 NUMBERS = ("rmse", "mae", "maximum", "bias", "fit_percent", "r2", "coverage")  # of an evidence's metrics
@@ -78,7 +79,8 @@ def _rows(one: Evidence, file: ModelFile, model, search: _Search) -> Iterator[Ag
         for key in (k for k in NUMBERS if k in row):
             now = math.nan if score is None else float(getattr(score, key))
             what = f"{row['output']}, {row['mode']}: {key}"
-            yield replace(nothing, what=what, before=row[key], now=now, passed=_same(row[key], now))
+            same = _same(row[key], now, row.get("rmse", 0.0) if key == "bias" else 0.0)
+            yield replace(nothing, what=what, before=row[key], now=now, passed=same)
     for row in one.criteria:
         yield _judged(row, found, nothing)
 
@@ -98,7 +100,7 @@ def _judged(row: Mapping, found: Comparison, nothing: Again) -> Again:
     except HydrotwinError as error:
         return replace(nothing, passed=False, why=str(error))
     level = now.passed == row["passed"] or abs(now.margin) <= AGAIN  # elsewhere a number on its bound may be beside it
-    return replace(nothing, now=now.value, passed=level and _same(row["value"], now.value))
+    return replace(nothing, now=now.value, passed=level and _same(row["value"], now.value, _size(now.criterion, found)))
 
 
 def _compared(one: Evidence, model, search: _Search) -> Comparison:
@@ -121,8 +123,17 @@ def _compared(one: Evidence, model, search: _Search) -> Comparison:
     )
 
 
-def _same(before: float, now: float) -> bool:
-    return before == now or math.isclose(before, now, rel_tol=AGAIN) or (math.isnan(before) and math.isnan(now))
+def _size(one: Criterion, found: Comparison) -> float:
+    """The RMSE, of a metric in which errors of either sign make up for each other; else 0."""
+    metric, mode = METRICS[one.metric], found.modes[0]
+    rows = [s.rmse for s in found.means if (s.output, s.mode) == (one.output, mode)]
+    return rows[0] if rows and metric.sized and metric.of == OF_OUTPUT else 0.0
+
+
+def _same(before: float, now: float, size: float = 0.0) -> bool:
+    """Whether two runs may have given both. size : what counts where errors of either sign leave next to nothing."""
+    close = math.isclose(before, now, rel_tol=AGAIN, abs_tol=AGAIN * size)
+    return before == now or close or (math.isnan(before) and math.isnan(now))
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,6 @@ from .domain import domain_shares
 from .elsewhere import input_names, other_reasons
 from .job import KEPT, WARNINGS, Done, Job, Plan, Run, run_job
 from .rates import rate_signal, with_rates
-from .starts import Started
 from .travel import Carried, travels
 
 TIMED = 3  # recordings, the first, on which runs are repeated for their time
@@ -114,7 +113,10 @@ def compare(
     starts = tuple(started for one in done for started in one.started)
     return Comparison(
         title=title,
-        entrants=tuple(_judged_here(c, scores, records, starts) for c in contenders),
+        entrants=tuple(
+            _judged_here(c, scores, {r.name: other_reasons(c, r, starts, contenders) for r in records})
+            for c in contenders
+        ),
         records=tuple(records),
         train_records=tuple(train_records),
         modes=tuple(modes),
@@ -261,11 +263,9 @@ def entrant(contender) -> Entrant:
     )
 
 
-def _judged_here(
-    contender: Contender, scores: Sequence[Score], records: Sequence[Record], starts: Sequence[Started]
-) -> Entrant:
-    """As it is listed, with its bands held against what was measured."""
-    one, why = entrant(contender), {r.name: other_reasons(contender, r, starts) for r in records}
+def _judged_here(contender: Contender, scores: Sequence[Score], why: Mapping[str, str]) -> Entrant:
+    """As it is listed, with its bands held against what was measured; why : by recording, see `other_reasons`."""
+    one = entrant(contender)
     held: dict[str, list[Held]] = {}
     for s in scores:
         if (s.model, s.mode) == (one.name, FREE_RUN):

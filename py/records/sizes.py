@@ -17,7 +17,7 @@ from .record import Record
 FAR = 100.0  # usual sizes: mm for m, Pa for bar, mV for V are more
 UNSAID = 1.0  # the usual size of what declares none
 FEW, SHARE = 5, 1 / 200  # samples that may stand alone, at either end of a range; and of all
-STRETCHED = 2.0  # times the range of all others: such a one is that of the few; noise has none
+BEYOND, STRETCHED = 0.5, 1.5  # ranges beyond that of the rest, and times that of all others: so far a few stand alone
 
 
 def far_from_usual(records: Sequence[Record], signals: Iterable[Signal]) -> list[str]:
@@ -51,7 +51,9 @@ def _alone(values: np.ndarray) -> np.ndarray:
     low, high = known[[few, -few - 1]] if few else (0.0, 0.0)
     if not low < high:
         return np.zeros(0, dtype=int)
-    return np.flatnonzero(np.maximum(low - values, values - high) > (STRETCHED - 1) / 2 * (high - low))
+    far = np.maximum(low - values, values - high) > BEYOND * (high - low)
+    stands_out = far.any() and np.ptp(known) > STRETCHED * np.ptp(values[np.isfinite(values) & ~far])
+    return np.flatnonzero(far) if stands_out else np.zeros(0, dtype=int)
 
 
 def _told(record: Record, name: str, far: np.ndarray) -> str:

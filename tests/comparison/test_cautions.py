@@ -67,6 +67,7 @@ def test_a_range_that_one_sample_makes_is_told_where_it_decides():
 def test_noise_and_levels_are_no_range_of_a_few():
     random, time = np.random.default_rng(0), np.arange(2000) * 0.01
     columns = {"noise": random.standard_normal(2000), "level": np.where(time > 10, 1.0, 0.0), "few": time[:] % 1}
+    columns["start"] = np.r_[1.4, 1.11, 1.0, 0.9, 0.8, 0.7, 0.5 * np.sin(time[6:])]  # it starts in motion
     assert not made_by_few([Record(time, columns, dict.fromkeys(columns, "m"), "r")], columns)
     for n in (50, 200, 500):
         noise = {"n": random.standard_normal(n)}

@@ -20,8 +20,9 @@ BAND, CARD = "band", "free_run"  # of a learned block: found in its training, an
 EDITED = "values, effects or inputs of its file edited"
 SINCE = "since the fit"  # what was changed since, in words, one by one
 MADE_FROM = ("trained_on", "selected_on", "physics_trained_on")  # rows with name and sha256
+ASKED = "asked"  # how a fit was asked: its settings
 JOINED = (SPREAD, BAND, CARD)  # what bands are made of
-OF_FIT = (*JOINED, "chi2_per_sample", "noise", "rmse", "accuracy", "findings", "verdict", "effects", "asked")
+OF_FIT = (*JOINED, "chi2_per_sample", "noise", "rmse", "accuracy", "findings", "verdict", "effects", ASKED)
 OF_VALUES = (RECORDINGS, "made_by", "date")  # what a fit says of its values, whatever is around them
 
 

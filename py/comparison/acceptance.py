@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,14 +11,15 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.provenance import made_from
+from hydrotwin.records.sizes import made_by_few
 
-from .asked import SUFFIX, Asked, criteria_about, judged_model, left_out
+from .asked import SUFFIX, Asked, check_criterion, criteria_about, judged_model, left_out
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst
 from .earlier import earlier
 from .elsewhere import beside_holes, holes_of
-from .metric import AGAIN, METRICS, SCORED
+from .metric import AGAIN, METRICS, OF_OUTPUT, SCORED
 from .rating import INNER
 from .sentence import other_of
 from .tags import of_group
@@ -117,6 +118,14 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
     return Acceptance(model, comparison.modes[0], tuple(judged), *changes, otherwise)
 
 
+def judged_so(one: Criterion, comparison: Comparison) -> Judged:
+    """A criterion between bounds of its own on the model judged. DeclarationError where nothing tests it."""
+    asked = Asked.of(comparison)
+    model = judged_model(asked, "")
+    check_criterion(one, asked, model)
+    return judge(one, _Values(comparison, model, one, Path()))
+
+
 def _earlier(path: Path, variant: str):
     return earlier(path, variant, Variant(variant).folder if variant else "")
 
@@ -143,7 +152,12 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         flat=_flat(comparison, about, holding),
         holes=holes_of(judged_on, comparison.entrants),
         beside=beside_holes(judged_on, comparison.entrants),
-        otherwise=_started_otherwise(comparison, model, about.than, holding),
+        otherwise=(
+            *_started_otherwise(comparison, model, about.than, holding),
+            *_started_untold(comparison, model, holding),
+            *_made_by_few(comparison, model, about, holding),
+            *_repeats(values.rows(model).values(), about, holding),
+        ),
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))
@@ -159,7 +173,7 @@ def _held_against(one: Judged, comparison: Comparison, wanted: Wanted) -> Judged
     if not about.than.endswith(SUFFIX):
         return one
     before = earlier(wanted.folder(about.text) / about.than)
-    return dataclasses.replace(one, otherwise=before.otherwise(comparison))
+    return dataclasses.replace(one, otherwise=(*one.otherwise, *before.otherwise(comparison)))
 
 
 def _reason(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> str:
@@ -196,6 +210,30 @@ def _started_otherwise(comparison: Comparison, model: str, than: str, holding: t
         return ()
     one, other = (model, than) if (model, differ[0]) in estimated else (than, model)
     return (f"The start of {one} was estimated on {some_of(differ)}, and that of {other} was not.",)
+
+
+def _started_untold(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
+    """That the judged model has something told of where it starts, in a sentence."""
+    noted = dict.fromkeys(s.of for s in comparison.starts if s.model == model and s.of in holding and s.estimate.note)
+    return (f"On {some_of(tuple(noted))} {model} starts as without an estimate.",) if noted else ()
+
+
+def _made_by_few(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> list[str]:
+    """That a few samples make the range of its output, or of an input that must rest, of a metric that counts by it."""
+    metric, names = METRICS[about.metric], [about.output]
+    if metric.at_times:
+        names += [s.name for e in comparison.entrants if e.name == model for s in e.inputs]
+    found = made_by_few([r for r in comparison.records if r.name in holding], names) if metric.by_range else []
+    return [sentence.partition(",")[0] for sentence in found]
+
+
+def _repeats(rows: Iterable[Score], about: Criterion, holding: tuple[str, ...]) -> tuple[str, ...]:
+    """That a lag by whole periods does not show in a motion that repeats, in a sentence."""
+    found = {s.record: s.repeats for s in rows if s.record in holding and METRICS[about.metric].of_shift}
+    known = {name: value for name, value in found.items() if np.isfinite(value)}
+    if not known:
+        return ()
+    return (f"Nobody can tell it from {min(known.values()):.3g} s more or less on {some_of(tuple(known))}",)
 
 
 def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) -> str:
@@ -274,4 +312,9 @@ class _Values:
             return float("nan")
         key = (self.model, self.criterion.output, self.comparison.modes[0])
         found.check_key(self.criterion.text, key)
-        return found.value(key, metric, [r for r in self.comparison.records if r.name in holding]) * (1 + AGAIN)
+        records = [r for r in self.comparison.records if r.name in holding]
+        size = (
+            found.value(key, "rmse", records) if METRICS[metric].of == OF_OUTPUT else 0.0
+        )  # a bias may be next to none
+        before = found.value(key, metric, records)
+        return before + AGAIN * max(before, size)

@@ -12,13 +12,15 @@ from hydrotwin.identification.beginning import MEASURED
 from hydrotwin.models.language.credibility import COMPARE, Evidence
 from hydrotwin.models.language.errors import DataError, HydrotwinError
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
-from hydrotwin.records import SUFFIXES, Reading, Record, import_from, read_record
+from hydrotwin.records import SUFFIXES, Reading, Record, import_from
+from hydrotwin.records.files import read_by
 
-from .acceptance import Wanted, acceptance
+from .acceptance import Wanted, acceptance, judged_so
 from .comparison import Comparison
 from .contender import as_contender
+from .criteria import Criterion
 from .meaning import criteria_of
-from .metric import AGAIN
+from .metric import AGAIN, METRICS, OF_OUTPUT
 from .run import compare
 
 NUMBERS = ("rmse", "mae", "maximum", "bias", "fit_percent", "r2", "coverage")  # of an evidence's metrics
@@ -28,7 +30,8 @@ NUMBERS = ("rmse", "mae", "maximum", "bias", "fit_percent", "r2", "coverage")  #
 class Again:
     """One number of an evidence: as it was written, as it is now, and whether it is the same.
 
-    what : a metric of an output, or a criterion. passed : None where it was not tried; ``why`` says the reason.
+    what : a metric of an output, or a criterion. passed : None where it was not tried; ``why`` says the reason, and
+    what set the bound of a criterion beside another model or file.
     before, now : SI, or a share of 1. unit : that a criterion is written in; scale : one of it, in SI.
     """
 
@@ -76,24 +79,28 @@ def _rows(one: Evidence, file: ModelFile, model, search: _Search) -> Iterator[Ag
         for key in (k for k in NUMBERS if k in row):
             now = math.nan if score is None else float(getattr(score, key))
             what = f"{row['output']}, {row['mode']}: {key}"
-            yield replace(nothing, what=what, before=row[key], now=now, passed=_same(row[key], now))
+            same = _same(row[key], now, row.get("rmse", 0.0) if key == "bias" else 0.0)
+            yield replace(nothing, what=what, before=row[key], now=now, passed=same)
     for row in one.criteria:
         yield _judged(row, found, nothing)
 
 
 def _judged(row: Mapping, found: Comparison, nothing: Again) -> Again:
-    text = row["text"]
+    """A criterion again; one beside another model or file, which the record does not hold, by the bound of then."""
+    nothing = replace(nothing, what=row["text"], before=row["value"])
     try:
-        asked = criteria_of(text, found.outputs)[0]
-        nothing = replace(nothing, unit=asked.unit, scale=asked.scale)
-        if asked.than:
-            why = "another model or file is not in the record"
-            return replace(nothing, what=text, before=row["value"], why=why)
-        (now,) = acceptance(found, Wanted((text,))).judged
+        each = criteria_of(row["text"], found.outputs)
+        one = next((c for c in each if c.output == row.get("worst")), each[0])
+        nothing = replace(nothing, unit=one.unit, scale=one.scale)
+        if one.than:
+            nothing = replace(nothing, why=f"held against the bound that {one.than} set then")
+            now = judged_so(replace(one, than="", high=row["high"]), found)
+        else:
+            (now,) = acceptance(found, Wanted((row["text"],))).judged
     except HydrotwinError as error:
-        return replace(nothing, what=text, before=row["value"], passed=False, why=str(error))
-    same = now.passed == row["passed"] and _same(row["value"], now.value)
-    return replace(nothing, what=text, before=row["value"], now=now.value, passed=same)
+        return replace(nothing, passed=False, why=str(error))
+    level = now.passed == row["passed"] or abs(now.margin) <= AGAIN  # elsewhere a number on its bound may be beside it
+    return replace(nothing, now=now.value, passed=level and _same(row["value"], now.value, _size(now.criterion, found)))
 
 
 def _compared(one: Evidence, model, search: _Search) -> Comparison:
@@ -111,12 +118,22 @@ def _compared(one: Evidence, model, search: _Search) -> Comparison:
         rates=[name for name in asked.get("rates", ()) if name in outputs],
         interpolation={name: how for name, how in asked.get("interpolation", {}).items() if name in inputs},
         initial_states=str(asked.get("initial_states", MEASURED)),
+        known=list(asked.get("known", ())),
         repeats=0,
     )
 
 
-def _same(before: float, now: float) -> bool:
-    return before == now or math.isclose(before, now, rel_tol=AGAIN) or (math.isnan(before) and math.isnan(now))
+def _size(one: Criterion, found: Comparison) -> float:
+    """The RMSE, of a metric in which errors of either sign make up for each other; else 0."""
+    metric, mode = METRICS[one.metric], found.modes[0]
+    rows = [s.rmse for s in found.means if (s.output, s.mode) == (one.output, mode)]
+    return rows[0] if rows and metric.sized and metric.of == OF_OUTPUT else 0.0
+
+
+def _same(before: float, now: float, size: float = 0.0) -> bool:
+    """Whether two runs may have given both. size : what counts where errors of either sign leave next to nothing."""
+    close = math.isclose(before, now, rel_tol=AGAIN, abs_tol=AGAIN * size)
+    return before == now or close or (math.isnan(before) and math.isnan(now))
 
 
 @dataclass(frozen=True)
@@ -134,8 +151,8 @@ class _Search:
             looked = ", ".join(map(str, self.folders))
             below = f", nor below {looked}" if looked else ". Say where recordings are: --recordings FOLDER"
             raise DataError(f"no file has the SHA-256 of {row['name']}: {where}{below}")
-        reading = reading.over(import_from(row.get("import", {}), "record"))  # what stood beside it then
-        return replace(read_record(path, reading), name=row["name"], tags=dict(row.get("tags", {})))
+        reading = reading.over(import_from(row.get("import", {}), "record"))  # what stood beside it then, and not now
+        return replace(read_by(path, reading), name=row["name"], tags=dict(row.get("tags", {})))
 
     def _likely(self, row: Mapping) -> Iterator[Path]:
         """Where it was; then files of its name; then all others."""

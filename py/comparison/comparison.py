@@ -65,9 +65,14 @@ class Score(FieldMetrics):
     chance: float = float("nan")
 
     @property
+    def below_noise(self) -> bool:
+        """Closer to the measurement than its noise allows."""
+        return self.rmse < 0.7 * self.noise
+
+    @property
     def too_good(self) -> bool:
-        """One step ahead, and closer to the measurement than its noise allows: it may have seen what it predicts."""
-        return self.mode == ONE_STEP and self.rmse < 0.7 * self.noise
+        """One step ahead, and below the noise: it may have seen what it predicts."""
+        return self.mode == ONE_STEP and self.below_noise
 
 
 @dataclass(frozen=True)
@@ -171,7 +176,7 @@ class Comparison:
 
     ``means`` are Scores with record = MEAN. ``records`` are the validation recordings, ``train_records`` those the
     models were made from. ``starts`` says how models start, where that was estimated. ``inaccurate`` are runs whose
-    solver missed the accuracy.
+    solver missed the accuracy. ``asked`` are the arguments of `compare` by which it can be made again, as data.
     """
 
     title: str
@@ -190,20 +195,21 @@ class Comparison:
     residuals: tuple[Residual, ...]
     starts: tuple[Started, ...] = ()
     inaccurate: tuple[Inaccurate, ...] = ()
+    asked: Mapping[str, object] = field(default_factory=dict)
 
     def __repr__(self) -> str:
         on = ", ".join(r.name for r in self.records)
         return f"Comparison '{self.title}': {', '.join(self.models)} on {on}; {len(self.scores)} scores"
 
     def _repr_html_(self) -> str:
-        from .notices import notices
+        from .notices import notices, starts_told
 
         return summary_html(
             self.title,
             self._best(),
             {"models": len(self.models), "recordings": len(self.records), "failures": len(self.failures)},
             [SmallTable(f"{self.modes[0]}, means over the recordings, SI", _SHOWN, self._shown())],
-            [*notices(self), *map(str, self.starts)],
+            [*notices(self), *starts_told(self.starts)],
         )
 
     def _best(self) -> str:

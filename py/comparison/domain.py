@@ -28,7 +28,7 @@ def domain_shares(
     for model, box, source in boxes:
         for record in records:
             values = _values(box, record, free_runs.get((model, record.name)))
-            if values is not None and len(values):
+            if values is not None:
                 rows.append(_share(model, record.name, box, values, source))
     return tuple(rows)
 
@@ -47,15 +47,16 @@ def training_box(contenders, records: Sequence[Record], train_records: Sequence[
 
 
 def _values(box: TrainingDomain, record: Record, prediction: Record | None) -> np.ndarray | None:
-    """(n, names) the boxed quantities, or None when one is nowhere to be had."""
-    columns = []
+    """(n, names) the boxed quantities, or None when one is nowhere to be had; what is unknown lies on the line between
+    known samples, for those of two rasters may never meet in a row."""
+    columns, sources = [], [r for r in (record, prediction) if r is not None]
     for name in box.names:
-        source = next((r for r in (record, prediction) if r is not None and name in r.signals), None)
+        source = next((r for r in sources if name in r.signals and np.isfinite(r[name]).any()), None)
         if source is None:
             return None
-        columns.append(np.asarray(source[name], float))
-    values = np.column_stack(columns)
-    return values[np.isfinite(values).all(axis=1)]
+        here = np.isfinite(source[name])
+        columns.append(np.interp(source.time, source.time[here], source[name][here]))
+    return np.column_stack(columns)
 
 
 def _share(model: str, record: str, box: TrainingDomain, values: np.ndarray, source: str) -> DomainShare:

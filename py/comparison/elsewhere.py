@@ -11,8 +11,11 @@ from .criteria import some_of
 from .starts import Started
 
 
-def other_reasons(contender: Contender, record: Record, starts: Sequence[Started]) -> str:
-    """Reasons other than the model and its sensors, in words that follow those; "" where there are none."""
+def other_reasons(contender: Contender, record: Record, starts: Sequence[Started], models: Sequence[Contender]) -> str:
+    """Reasons other than the model and its sensors, in words that follow those; "" where there are none.
+
+    models : all that are compared: runs of each begin anew behind the holes of their inputs.
+    """
     estimated = {state.name for s in starts if (s.model, s.of) == (contender.name, record.name)
                  for state in s.estimate.states}  # fmt: skip
     untold = contender.untold_starts(record) if hasattr(contender, "untold_starts") else []
@@ -20,7 +23,7 @@ def other_reasons(contender: Contender, record: Record, starts: Sequence[Started
     if left:
         auto = "" if estimated else " (initial_states auto estimates it)"
         reasons.append(f"it starts elsewhere, for no sample there tells {some_of(left)}{auto}")
-    if holes := holes_of([record], [contender]):
+    if holes := holes_of([record], models):
         reasons.append(f"it starts elsewhere behind a hole ({holes})")
     return "".join(f", or {reason}" for reason in reasons)
 

@@ -18,7 +18,6 @@ from hydrotwin.records.reading import beside, reading_told
 
 from .acceptance import Acceptance
 from .comparison import Comparison, Entrant, Score
-from .rates import rate_name
 
 KEPT = ("rmse", "mae", "maximum", "fit_percent", "bias", "r2", "coverage")  # metrics that stay in a model file
 CLOSE = 1e-9  # relative: values are the same number, read in one unit or another
@@ -39,8 +38,8 @@ def record_comparison(
     the same recordings, asked in the same way, replaces the earlier answer. Evidence of other values is dropped.
 
     accepted : the judged criteria, as `acceptance` gives them. model : the name of the file's model in the comparison;
-    by default the judged one, else the only one with the file's values. asked : how recordings were read and runs
-    started, as `asked_by` tells it of a scenario; `replay` needs it where it was not the default.
+    by default the judged one, else the only one with the file's values. asked : how recordings were read, as `asked_by`
+    tells it of a scenario; `replay` needs it where it was not the default.
 
     Returns all that the file holds now. Raises DeclarationError where the comparison is of another model or other
     values, or the criteria are about another model; DataError for a file that cannot be read or written.
@@ -57,10 +56,9 @@ def record_comparison(
 
 
 def asked_by(scenario) -> dict:
-    """How the recordings of a scenario are read and its runs started, as data."""
-    told = {"initial_states": scenario.initial_states, "rates": list(scenario.rates)}
-    told |= {"interpolation": dict(scenario.interpolation), "import": reading_told(scenario.reading)}
-    return {key: value for key, value in told.items() if value}
+    """How the recordings of a scenario are read, as data."""
+    told = reading_told(scenario.reading)
+    return {"import": told} if told else {}
 
 
 def check_same(file: ModelFile, entrant: Entrant | None, name: str) -> None:
@@ -102,7 +100,7 @@ def _evidence(
         "initial_states": "estimated"
         if any(s.model == name and s.estimate.states for s in comparison.starts)
         else "measured",
-        "asked": {"modes": list(comparison.modes), "outputs": _outputs(comparison, asked), **asked},
+        "asked": {**comparison.asked, **asked},
         "untrusted_bands": _untrusted(comparison, name),
         "failures": [f"{f.record}, {f.mode}: {f.sentence}" for f in comparison.failures if f.model == name],
     }
@@ -131,12 +129,6 @@ def _way(path: Path, folder: Path) -> str:
         return Path(os.path.relpath(path, folder)).as_posix()
     except ValueError:
         return path.name
-
-
-def _outputs(comparison: Comparison, asked: Mapping) -> list[str]:
-    """The scored outputs without their slopes."""
-    slopes = {rate_name(name) for name in asked.get("rates", ())}
-    return [s.name for s in comparison.outputs if s.name not in slopes]
 
 
 def fitted_recordings(file: ModelFile) -> frozenset[str]:

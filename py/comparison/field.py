@@ -23,7 +23,7 @@ class FieldMetrics:
 
     r2        1 - sum((y - p)^2) / sum((y - mean y)^2)
     theil     Theil's inequality coefficient rms(y - p) / (rms y + rms p), 0 to 1
-    lag       s that p comes after y, where they correlate most
+    lag       s that p comes after y, where they correlate most; repeats: s more or less that fit as well, if any
     settling  s that p takes longer than y to settle after the inputs have moved: mean size over the moves, sign of the
               mean
     steady    mean(p - y) of every rest of inputs and y: mean size over the rests, sign of the mean; unit of the signal
@@ -36,6 +36,7 @@ class FieldMetrics:
     r2: float = NAN
     theil: float = NAN
     lag: float = NAN
+    repeats: float = NAN
     settling: float = NAN
     steady: float = NAN
     u_val: float = NAN
@@ -70,11 +71,13 @@ def field_metrics(
     known = np.isfinite(measured) & np.isfinite(found.values)
     time, y, p = record.time[known], measured[known], found.values[known]
     inputs = [n for n in inputs if n in record.signals]
+    late, repeats = _lag(time, y, p)
     u_val, rmse = _validation_uncertainty(found.deviation, known), _rms(p - y)
     return FieldMetrics(
         r2=r_squared(y, p),
         theil=theil(y, p),
-        lag=_lag(time, y, p),
+        lag=late,
+        repeats=repeats,
         settling=settling(record, found.output, found.values, inputs, noise) if inputs else NAN,
         steady=at_rest(record, found.output, found.values, inputs, noise),
         u_val=u_val,
@@ -108,9 +111,9 @@ def theil(measured: np.ndarray, predicted: np.ndarray) -> float:
     return _rms(measured - predicted) / size if size > 0 and np.ptp(measured) else NAN
 
 
-def _lag(time: np.ndarray, y: np.ndarray, p: np.ndarray) -> float:
+def _lag(time: np.ndarray, y: np.ndarray, p: np.ndarray) -> tuple[float, float]:
     if len(time) < 3:
-        return NAN
+        return NAN, NAN
     grids, period = uniform(time)
     return lag([np.interp(g, time, y) for g in grids], [np.interp(g, time, p) for g in grids], period, SHIFT)
 

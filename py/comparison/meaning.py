@@ -217,6 +217,7 @@ def _converted(said: Sentence, value: float, what: str, of: str) -> float:
     if not fits:
         got = f"'{unit}' does not fit" if unit else "a unit is missing"
         share = " A share of the range is nrmse." if unit == "%" else ""
-        numbers = " and ".join(f"{number:g} {usual}" for number in said.numbers)
+        ways = [usual] if unit else dict.fromkeys([of, usual])  # a number alone may be either
+        numbers = ", or ".join(" and ".join(f"{number:g} {way}" for number in said.numbers) for way in ways)
         raise UnitError(f"accept: '{text}': {got}. {what} is in {usual}. Write {numbers}.{share}")
     return convert_difference(value, unit, of)

@@ -19,9 +19,9 @@ class Metric:
     of : what it is measured in. field : of a `Score`; "" where it is made from one. least, most : what it can be, in SI
     or as a share of 1. best : the larger the better. sized : judged by its size, whatever its sign. of_band : a model
     without a band has none. at_times : over recordings it is the mean of those in which it is defined: not all rest.
-    from_zero : it holds errors against the size of the measurement, from the zero of its SI unit on. percent : people
-    read this share in percent. undefined : why a recording has no number of
-    it, with ``{output}``.
+    from_zero : it holds errors against the size of the measurement, from the zero of its SI unit on. by_range : it
+    counts by the range of the measurement, or by what rests within it. of_shift : by the shift that fits best.
+    percent : people read this share in percent. undefined : why a recording has no number of it, with ``{output}``.
     """
 
     of: str
@@ -34,6 +34,8 @@ class Metric:
     of_band: bool = False
     at_times: bool = False
     from_zero: bool = False
+    by_range: bool = False
+    of_shift: bool = False
     percent: bool = False
 
     @property
@@ -50,27 +52,27 @@ METRICS: Mapping[str, Metric] = {
     "mae": Metric(OF_OUTPUT, "mae"),
     "max": Metric(OF_OUTPUT, "maximum"),
     "bias": Metric(OF_OUTPUT, "bias", sized=True),
-    "nrmse": Metric(SHARE, "", _STILL, percent=True),  # of the range of the measurement
+    "nrmse": Metric(SHARE, "", _STILL, percent=True, by_range=True),  # of the range of the measurement
     "fit": Metric(SHARE, "fit_percent", _STILL, -math.inf, 1.0, best=True, percent=True),  # the NRMSE fit
     "coverage": Metric(SHARE, "coverage", _NO_BAND, most=1.0, best=True, of_band=True, percent=True),  # of a 95 % band
     "r2": Metric(SHARE, "r2", _STILL, -math.inf, 1.0, best=True),  # the coefficient of determination
     "theil": Metric(SHARE, "theil", _STILL, most=1.0, from_zero=True),  # Theil's inequality coefficient
     "iso18571": Metric(  # the overall rating of ISO/TS 18571
         SHARE, "iso18571", "{output} or its prediction does not move, is too short, or the mode is not free run",
-        most=1.0, best=True, from_zero=True,
+        most=1.0, best=True, from_zero=True, of_shift=True,
     ),
     "lag": Metric(  # how late or early the prediction is
         TIME, "lag",
         "{output} or its prediction does not move, or they do not correlate best within a fifth of the recording",
-        sized=True,
+        sized=True, of_shift=True,
     ),
     "settling": Metric(  # how much longer or shorter it takes to settle
         TIME, "settling", "{output} never comes to rest after the inputs moved, and rest, or lacks samples there",
-        sized=True, at_times=True,
+        sized=True, at_times=True, by_range=True,
     ),
     "steady": Metric(  # the mean error of every rest of inputs and measurement, in size
         OF_OUTPUT, "steady", "the inputs and {output} never rest together, or it lacks samples where they do",
-        sized=True, at_times=True,
+        sized=True, at_times=True, by_range=True,
     ),
     "vv20": Metric(PLAIN, "vv20", _NO_BAND, of_band=True),  # RMSE over the validation uncertainty of ASME V&V 20
 }  # fmt: skip

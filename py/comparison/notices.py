@@ -10,32 +10,46 @@ import numpy as np
 from hydrotwin.models.language.provenance import made_from, told_since
 from hydrotwin.records import all_unbroken, cuts, turned_back
 from hydrotwin.records.between import shown_otherwise
-from hydrotwin.records.sizes import far_from_usual
+from hydrotwin.records.sizes import far_from_usual, made_by_few
 
+from .comparison import FREE_RUN, ONE_STEP
 from .criteria import some_of
 from .elsewhere import input_names
 from .uneven import uneven
 
 if TYPE_CHECKING:
     from .comparison import Comparison
+    from .starts import Started
 
 
 def notices(comparison: Comparison) -> tuple[str, ...]:
     """All of them: what a model was made from, what failed, what cannot be believed, what recordings lack."""
     first = _made(comparison) + _inaccurate(comparison) + _failures(comparison) + _unlikely(comparison)
     found = _sizes(comparison) + _cut(comparison) + _turned(comparison) + _holes(comparison) + _uneven(comparison)
-    return tuple(first + found)
+    return tuple(first + found + _slower(comparison))
 
 
 def remarks(comparison: Comparison) -> list[str]:
     """Those that a terminal has not told in another way: of recordings as they are read, of failures and of inaccurate
     runs as they happen."""
-    return _made(comparison) + _unlikely(comparison) + _sizes(comparison) + _cut(comparison) + _uneven(comparison)
+    found = _made(comparison) + _unlikely(comparison) + _sizes(comparison) + _cut(comparison) + _uneven(comparison)
+    return found + _slower(comparison)
+
+
+def starts_told(starts: Sequence[Started]) -> list[str]:
+    """Where models start, in sentences: the same of several recordings in one."""
+    alike: dict[str, list[Started]] = {}
+    for one in starts:
+        alike.setdefault(one.noted("") if one.estimate.note else str(one), []).append(one)
+    noted = [(some[0], some_of([s.estimate.record for s in some])) for some in alike.values()]
+    return [one.noted(where) if one.estimate.note else str(one) for one, where in noted]
 
 
 def _sizes(comparison: Comparison) -> list[str]:
-    """Columns of most likely another unit, and inputs that do something else between their samples."""
-    found = far_from_usual(comparison.records, [s for e in comparison.entrants for s in (*e.inputs, *e.outputs)])
+    """Columns of most likely another unit, those whose range a few samples make, and inputs that do something else
+    between their samples."""
+    signals = [s for e in comparison.entrants for s in (*e.inputs, *e.outputs)]
+    found = far_from_usual(comparison.records, signals) + made_by_few(comparison.records, [s.name for s in signals])
     taken: dict[str, list[str]] = {}
     for entrant in comparison.entrants:
         for doubt in shown_otherwise(entrant.inputs, comparison.records):
@@ -172,6 +186,19 @@ def _holes(comparison: Comparison) -> list[str]:
     return found
 
 
+def _slower(comparison: Comparison) -> list[str]:
+    """Outputs that are not known in the row before: one step ahead nothing is taken from them."""
+    slow: dict[str, list[str]] = {}
+    for record in comparison.records if ONE_STEP in comparison.modes else ():
+        known = {s.name: np.flatnonzero(np.isfinite(record[s.name])) for s in comparison.outputs if s.name in record}
+        for name in (name for name, at in known.items() if len(at) > 1 and np.median(np.diff(at)) > 1):
+            slow.setdefault(name, []).append(record.name)
+    return [
+        f"{name} of {some_of(records)} has no value in the row before: one step ahead its state is as in the free run."
+        for name, records in slow.items()
+    ]
+
+
 def _uneven(comparison: Comparison) -> list[str]:
     """Outputs whose means rest on recordings of very different numbers of known samples."""
     told: dict[str, list[str]] = {}
@@ -201,10 +228,12 @@ def _untrusted(comparison: Comparison) -> list[str]:
 
 
 def _too_good(comparison: Comparison) -> list[str]:
-    """Models whose one-step error is below the noise of the sensor."""
+    """Models whose one-step error is below the noise of the sensor; where that of a free run is, too, which sees no
+    sample, the noise is less than it seems: of a slow sensor its motion counts as noise."""
     outputs: dict[str, dict[str, list[str]]] = {}
+    below = {(s.model, s.output, s.record) for s in comparison.scores if s.mode == FREE_RUN and s.below_noise}
     for s in comparison.scores:
-        if s.too_good:
+        if s.too_good and (s.model, s.output, s.record) not in below:
             outputs.setdefault(s.model, {}).setdefault(s.output, []).append(s.record)
     return [
         f"{model} is too good to be true one step ahead on {_where(found)}: its error is below the noise of the "

@@ -52,7 +52,7 @@ def rating(measured: Parts, predicted: Parts) -> Rating:
     if longest < SHORTEST or not np.ptp(y) or not np.ptp(p):
         return Rating(*[float("nan")] * 4)
     most = SHIFT * longest
-    late = first_best(correlations(measured, predicted, int(most)))
+    late = first_best(correlations(measured, predicted, int(most)), len(y))
     parts = [_shifted(*both, late) for both in zip(measured, predicted, strict=True) if len(both[0]) >= SHORTEST]
     parts = [both for both in parts if len(both[0]) > len(MEANS) * 2]
     sloped = [(_slopes(reference), _slopes(curve)) for reference, curve in parts]

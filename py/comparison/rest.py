@@ -9,6 +9,7 @@ import numpy as np
 from scipy.ndimage import maximum_filter1d, minimum_filter1d, uniform_filter1d
 
 from hydrotwin.records import NoiseFloor, Record
+from hydrotwin.records.steps import holes_at
 
 REST, REST_SAMPLES = 0.02, 20  # of the recording, and samples at least: how long all must rest
 STILL, NOISE_WIDTH = 0.005, 6.0  # of the range of a signal, or sigmas of its noise: what moves less rests
@@ -18,13 +19,16 @@ SETTLED = 0.05  # of the largest distance from the final value: what stays neare
 
 
 def rests(record: Record, names: Sequence[str], noise: Mapping[str, NoiseFloor], share: float = STILL) -> np.ndarray:
-    """Where (n,) all named signals rest: about a sample each moves less than a share of its range or than its noise."""
-    width = _width(record)
+    """Where (n,) all named signals rest: about a sample each moves less than a share of its range or than its noise.
+
+    Between the samples of a slower raster it does what these do; in its holes nobody knows.
+    """
+    width = _width(record, names)
     still = np.ones(len(record.time), bool)
     if len(still) < width:
         return ~still
     for name in names:
-        values = record[name]
+        values = _between(record.time, record[name])
         known = np.isfinite(values)
         if not known.any():
             return np.zeros_like(still)
@@ -62,31 +66,34 @@ def settling(
 
     Each time that the inputs have moved and rest until the measurement rests, too, the settling time of either counts
     from where the inputs rest to where it stays within 5 % of its largest distance from its final value, that of the
-    measurement, or moves no more than what rests. A prediction that does not settle takes as long as the inputs rest.
+    measurement, or, where noise hides so little, moves no more than what rests. A prediction that does not settle takes
+    as long as the inputs rest.
     A move that ends inside a hole of an input or of time, nobody knows when, is left out, and one is followed until the
     next hole, behind which a prediction may begin anew, settled. It is the mean size over the moves, so that one that
     settles too late does not make up for one that settles too soon, with the sign of the mean.
     NaN where the measurement never settles after a move. Noise leaves a band late, and is taken out.
     Source: G. Franklin, J. Powell, A. Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4.
     """
-    width, measured, found = _width(record), record[output], []
-    sigma = _sigma(output, noise)
+    width, measured, found = _width(record, [output]), record[output], []
+    sigma, samples = _sigma(output, noise), width // _rows(record, output)  # of so many rows
     settled, room = rests(record, [output], noise), _room(measured, sigma)
-    told = np.all([np.isfinite(record[n]) for n in inputs], axis=0)
+    told = np.all([np.isfinite(_between(record.time, record[n])) for n in inputs], axis=0)
     behind = [gap.index + 1 for gap in record.gaps]
     told[behind] = False
     holes = np.union1d(behind, np.flatnonzero(~np.isfinite(predicted)))
-    for move in _after_moves(inputs_rest(record, inputs, noise), width):
+    for move in _after_moves(inputs_rest(record, inputs, noise), _width(record)):
         part = slice(move.start, int(min((h for h in holes if move.start < h < move.stop), default=move.stop)))
         if not np.all(told[part.start - 1 : part.start + 1]):  # the move ended in a hole
             continue
         known = np.isfinite(measured[part]) & np.isfinite(predicted[part])
         time, y, p = (values[part][known] for values in (record.time, measured, predicted))
-        if len(y) <= width or not settled[part.stop - 1 - width // 2]:
+        if len(y) <= samples or not settled[part.stop - 1 - width // 2]:
             continue
-        band = max(SETTLED * float(np.abs(y - y[-width:].mean()).max()), room / 2)
-        quiet = _without_noise(y, p, sigma, width)
-        found.append(_settles(time, p, band, width) - _settles(time, quiet, band, width))
+        band = SETTLED * float(np.abs(y - y[-samples:].mean()).max())
+        if band < max(_room(measured, 0.0) / 2, LARGEST * sigma / samples**0.5):  # noise hides so little
+            band = room / 2
+        quiet = _without_noise(y, p, sigma, samples)
+        found.append(_settles(time, p, band, samples) - _settles(time, quiet, band, samples))
     return _signed_size(found, np.ones(len(found)))
 
 
@@ -135,13 +142,31 @@ def _without_noise(measured: np.ndarray, predicted: np.ndarray, sigma: float, wi
     if not sigma or len(measured) < width:
         return measured
     error = measured - predicted
-    fast = error - uniform_filter1d(error, width, mode="nearest")
+    fast = error - uniform_filter1d(error, width, mode="reflect")
     return measured - np.clip(fast, -LARGEST * sigma, LARGEST * sigma)
 
 
-def _width(record: Record) -> int:
-    """How many samples must rest, odd."""
-    return max(REST_SAMPLES, int(REST * len(record.time))) | 1
+def _between(time: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Values (n,), those between the samples of a slower raster on the line between them; NaN in its holes."""
+    known = np.isfinite(values)
+    if known.all() or not known.any():
+        return values
+    lines, own = np.interp(time, time[known], values[known]), np.unique([time[0], *time[known], time[-1]])
+    for at in holes_at(own):
+        lines[~known & (time >= own[at]) & (time <= own[at + 1])] = np.nan
+    return lines
+
+
+def _rows(record: Record, name: str) -> int:
+    """How many rows it is, usually, from one sample of a signal to its next."""
+    apart = np.diff(np.flatnonzero(np.isfinite(record[name])))
+    return int(np.median(apart)) if len(apart) else 1
+
+
+def _width(record: Record, names: Sequence[str] = ()) -> int:
+    """How many rows must rest, odd: enough samples of each signal."""
+    slowest = max((_rows(record, name) for name in names), default=1)
+    return max(slowest * REST_SAMPLES, int(REST * len(record.time))) | 1
 
 
 def _room(values: np.ndarray, sigma: float, share: float = STILL) -> float:

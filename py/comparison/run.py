@@ -14,6 +14,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError, neares
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record, as_needed, distinct, noise_floor, unbroken, without_unknown
 from hydrotwin.records.between import between, settled, told
+from hydrotwin.records.unbroken import unknown_stretches
 from hydrotwin.simulation import InaccurateWarning
 from hydrotwin.work.executor import Here, executor_for
 from hydrotwin.work.memory import Memory, recalled
@@ -36,7 +37,6 @@ from .domain import domain_shares
 from .elsewhere import input_names, other_reasons
 from .job import KEPT, WARNINGS, Done, Job, Plan, Run, run_job
 from .rates import rate_signal, with_rates
-from .starts import Started
 from .travel import Carried, travels
 
 TIMED = 3  # recordings, the first, on which runs are repeated for their time
@@ -55,6 +55,7 @@ def compare(
     progress: Callable[[int, int, str], None] | None = None,
     interpolation: Mapping[str, str] | None = None,
     initial_states: str = "measured",
+    known: Sequence[str] = (),
     executor: str | Executor = "here",
     memory: Memory | None = None,
     curves: int | None = None,
@@ -73,6 +74,7 @@ def compare(
     initial_states : "measured": first samples count as exact, and models find the rest of their start; "auto" and
         "free": physical models have it estimated from the first part of each recording, see `estimate_start`. All
         samples are scored, the first part too.
+    known : signals, beside the inputs of all contenders, without which nothing runs: runs begin anew behind a hole.
     executor : where the runs are made, see `executor_for`; the numbers are the same to the bit. A contender without
         ``content`` runs here.
     memory : keeps finished runs; those that it knows are not made again.
@@ -86,16 +88,16 @@ def compare(
     contenders = [as_contender(c) for c in contenders]
     signals = [*_signals(contenders), *(s for c in contenders for s in c.inputs)]
     records, train_records = ([as_needed(r, signals) for r in some] for some in (records, train_records))
-    records = measured_in(contenders, distinct(records)[0])
+    known = tuple(dict.fromkeys((*input_names(contenders), *known)))
+    records = measured_in(contenders, distinct(records)[0], known)
     modes = tuple(dict.fromkeys(modes))  # one that is named twice counts once
     _check(contenders, records, modes)
     contenders = _settled(contenders, records, interpolation or {})
     wanted = wanted_of(contenders, records, outputs)
     sloped = wanted_of(contenders, records, rates) if rates else []
     how = check_initial_states(initial_states, "compare")
-    plan = Plan(
-        tuple(modes), tuple(wanted), tuple(sloped), tuple(rate_signal(s) for s in sloped), how, input_names(contenders)
-    )
+    slopes = tuple(rate_signal(s) for s in sloped)
+    plan = Plan(tuple(modes), tuple(wanted), tuple(sloped), slopes, how, known)
     noise = [noise_floor(r) for r in records]
     records = [with_rates(r, sloped) for r in records]
     drawn = _drawn(curves, len(contenders) * len(modes) * len(plan.wanted + plan.rates), len(records))
@@ -111,7 +113,10 @@ def compare(
     starts = tuple(started for one in done for started in one.started)
     return Comparison(
         title=title,
-        entrants=tuple(_judged_here(c, scores, records, starts) for c in contenders),
+        entrants=tuple(
+            _judged_here(c, scores, {r.name: other_reasons(c, r, starts, contenders) for r in records})
+            for c in contenders
+        ),
         records=tuple(records),
         train_records=tuple(train_records),
         modes=tuple(modes),
@@ -126,15 +131,25 @@ def compare(
         residuals=tuple(r for one in done for r in one.residuals),
         starts=starts,
         inaccurate=_inaccurate(jobs, done),
+        asked=_asked(plan, interpolation or {}, records),
     )
 
 
-def measured_in(contenders: Sequence[Contender], records: Sequence[Record]) -> list[Record]:
+def _asked(plan: Plan, interpolation: Mapping[str, str], records: Sequence[Record]) -> dict:
+    """How a comparison can be made again of one of its models: with inputs that recordings lack in some stretch, for
+    all models start anew behind it."""
+    lost = [n for n in plan.known if any(n in r and unknown_stretches(r.time, r[n]).any() for r in records)]
+    told = {"modes": list(plan.modes), "outputs": [s.name for s in plan.wanted], "rates": [s.name for s in plan.sloped]}
+    told |= {"initial_states": plan.initial_states, "interpolation": dict(interpolation), "known": lost}
+    return {key: value for key, value in told.items() if value}
+
+
+def measured_in(contenders: Sequence[Contender], records: Sequence[Record], known: Sequence[str]) -> list[Record]:
     """The recordings without outputs that none of their samples knows: they hold them no more than a file without.
 
-    Samples between holes that are too few for a run are unknown, too.
+    Samples between holes, also of what else must be ``known``, that are too few for a run are unknown, too.
     """
-    outputs, known = list(_signals(contenders)), input_names(contenders)
+    outputs = list(_signals(contenders))
     return [_in_parts(without_unknown(r, outputs), [s.name for s in outputs], known) for r in records]
 
 
@@ -248,11 +263,9 @@ def entrant(contender) -> Entrant:
     )
 
 
-def _judged_here(
-    contender: Contender, scores: Sequence[Score], records: Sequence[Record], starts: Sequence[Started]
-) -> Entrant:
-    """As it is listed, with its bands held against what was measured."""
-    one, why = entrant(contender), {r.name: other_reasons(contender, r, starts) for r in records}
+def _judged_here(contender: Contender, scores: Sequence[Score], why: Mapping[str, str]) -> Entrant:
+    """As it is listed, with its bands held against what was measured; why : by recording, see `other_reasons`."""
+    one = entrant(contender)
     held: dict[str, list[Held]] = {}
     for s in scores:
         if (s.model, s.mode) == (one.name, FREE_RUN):

@@ -18,6 +18,7 @@ from hydrotwin.work.memory import Memory
 from .asked import Asked, check_wanted
 from .comparison import Comparison
 from .contender import Contender, HoldLast, as_contender
+from .elsewhere import input_names
 from .loop import in_loop
 from .rates import rate_signal
 from .run import check_modes, compare, entrant, measured_in, require_own_names, wanted_of
@@ -125,7 +126,7 @@ def check_asked(scenario: Scenario, contenders: Sequence[Contender], records: Se
 def asked_of(scenario: Scenario, contenders: Sequence[Contender], records: Sequence[Record]) -> Asked:
     """What criteria of a scenario can be about. Raises DeclarationError for two models of one name."""
     require_own_names(contenders)
-    records = measured_in(contenders, records)
+    records = measured_in(contenders, records, input_names(contenders))
     outputs = wanted_of(contenders, records, scenario.outputs)
     sloped = wanted_of(contenders, records, scenario.rates) if scenario.rates else []
     entrants = tuple(entrant(c) for c in contenders)

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.fft import irfft, next_fast_len, rfft
 
+NAN = float("nan")
 Parts = Sequence[np.ndarray]  # of a curve, (n,) each: what is between its holes
 ALIKE = 1e-10  # correlations nearer to each other than this are one
+CHANCE = 4.0  # over the root of the samples: how far apart Fisher's z of two shifts may be by noise alone
 
 
 def correlations(measured: Parts, predicted: Parts, reach: int) -> np.ndarray:
@@ -38,15 +40,32 @@ def _overlap(y: np.ndarray, p: np.ndarray, reach: int) -> np.ndarray:
     return found
 
 
-def first_best(found: np.ndarray) -> int:
-    """The shift of the highest correlation, in samples; the smallest one of those that are alike."""
-    reach = len(found) // 2
-    best = np.flatnonzero(found >= found.max() - ALIKE) - reach
-    return int(min(best, key=lambda k: (abs(k), -k)))
+def first_best(found: np.ndarray, samples: int) -> int:
+    """The shift of the highest correlation, in samples; the smallest one of those that are alike, see `bests`."""
+    return bests(found, samples)[0]
 
 
-def lag(measured: Parts, predicted: Parts, period: float, share: float) -> float:
-    """Seconds that the prediction comes after the measurement, both in parts (n,) on uniform grids of ``period`` s.
+def bests(found: np.ndarray, samples: int) -> list[int]:
+    """The best shifts, in samples, the smallest first.
+
+    A motion that repeats correlates as well a period later: there is one for every stretch of shifts in which
+    correlations are as high as the highest, but for what noise of ``samples`` does (Fisher's z = artanh r).
+    Source: Fisher, Metron 1 (1921) 3-32.
+    """
+    shifts = np.arange(len(found)) - len(found) // 2
+    z = np.arctanh(np.clip(found, ALIKE - 1, 1 - ALIKE))
+    as_high = z >= z.max() - CHANCE / np.sqrt(samples)
+    stretch, best = np.cumsum(~as_high), []
+    for at in np.unique(stretch[as_high]):
+        here = as_high & (stretch == at)
+        alike = shifts[here & (found >= found[here].max() - ALIKE)]
+        best.append(int(min(alike, key=lambda k: (abs(k), -k))))
+    return sorted(best, key=lambda k: (abs(k), -k))
+
+
+def lag(measured: Parts, predicted: Parts, period: float, share: float) -> tuple[float, float]:
+    """Seconds that the prediction comes after the measurement, both in parts (n,) on uniform grids of ``period`` s; and
+    how many seconds more or less fit as well, for the motion repeats (NaN where none do).
 
     The highest correlation within ``share`` of the longest part either way, between samples by the parabola through it
     and its neighbours. NaN where a curve does not move, or the highest is at the end of what was looked through.
@@ -54,15 +73,16 @@ def lag(measured: Parts, predicted: Parts, period: float, share: float) -> float
     """
     reach = int(share * max(map(len, measured)))
     if reach < 1 or not np.ptp(np.concatenate(measured)) or not np.ptp(np.concatenate(predicted)):
-        return float("nan")
+        return NAN, NAN
     found = correlations(measured, predicted, reach)
-    k = first_best(found)
+    k, *others = bests(found, sum(map(len, measured)))
     if abs(k) == reach or not np.isfinite(found[k + reach - 1 : k + reach + 2]).all():
-        return float("nan")
+        return NAN, NAN
     left, top, right = found[k + reach - 1 : k + reach + 2]
     bend = left - 2 * top + right
     between = 0.5 * (left - right) / bend if bend < -ALIKE else 0.0
-    return float((k + np.clip(between, -0.5, 0.5)) * period)
+    repeats = min((abs(other - k) for other in others), default=NAN)
+    return float((k + np.clip(between, -0.5, 0.5)) * period), float(repeats * period)
 
 
 def _sums(values: np.ndarray, late: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hydrotwin.identification.beginning import AUTO, FREE, MEASURED, StartEstimate
 from hydrotwin.models.language.errors import HydrotwinError
+from hydrotwin.models.language.provenance import ASKED
 from hydrotwin.records import Record
 
 from .contender import Contender
+
+ESTIMATE = "Estimate the start (initial_states auto)"
 
 
 @dataclass(frozen=True)
@@ -23,8 +27,7 @@ class Started:
         """In a sentence."""
         told = self.estimate
         if told.note:
-            there = "" if told.record == self.of else ", as if it began there"
-            return f"{self.model} on {told.record} starts as without an estimate{there}: {told.note}"
+            return self.noted(told.record)
         if not told.states:
             return f"{self.model} on {told.record}: nothing to estimate at the start."
         first, last = told.seconds
@@ -32,6 +35,11 @@ class Started:
             f"{self.model} on {told.record}: start of {', '.join(s.name for s in told.states)} estimated from "
             f"{first:.4g} s to {last:.4g} s ({told.samples} samples), which is scored too."
         )
+
+    def noted(self, where: str) -> str:
+        """Its note, of the recordings ``where``."""
+        there = "" if self.estimate.record == self.of else ", as if it began there"
+        return f"{self.model} on {where} starts as without an estimate{there}: {self.estimate.note}"
 
 
 def not_estimated(record: str) -> StartEstimate:
@@ -58,12 +66,22 @@ def _unknown(contender: Contender, record: Record) -> Started | None:
     """What is to be told of a model whose measured start is not in the first sample; None where it is."""
     missing = contender.unknown_at_first(record) if hasattr(contender, "unknown_at_first") else []
     if not missing:
-        return None
-    step = "Estimate the start (initial_states auto)" if hasattr(contender, "estimate_start") else "Set the start"
+        return _not_as_fitted(contender, record)
+    step = ESTIMATE if hasattr(contender, "estimate_start") else "Set the start"
     note = (
         f"the first sample of {' and '.join(missing)} is not known, so that the model starts there as it thinks. "
         f"{step}, or cut the recording to where it is known."
     )
+    return Started(contender.name, StartEstimate(record.name, note=note), record.whole)
+
+
+def _not_as_fitted(contender: Contender, record: Record) -> Started | None:
+    """What is to be told of a model whose fit found, or was told to find, every start that no sensor tells."""
+    asked = (getattr(contender, "provenance", None) or {}).get(ASKED)
+    untold = contender.untold_starts(record) if hasattr(contender, "untold_starts") else []
+    if not untold or not isinstance(asked, Mapping) or asked.get("initial_states") != FREE:
+        return None
+    note = f"its fit estimated where {' and '.join(untold)} began, and here no sample tells it. {ESTIMATE}."
     return Started(contender.name, StartEstimate(record.name, note=note), record.whole)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hydrotwin.models.language.credibility import FIT, IDENTIFY, JUDGE, Evidence, now, recording_rows, versions
-from hydrotwin.models.language.provenance import RECORDINGS, SPREAD
+from hydrotwin.models.language.provenance import ASKED, RECORDINGS, SPREAD
 from hydrotwin.records import Record
 
 from .bands import Spread
@@ -23,7 +23,7 @@ def provenance_of_fit(fit: Fit) -> dict:
         "rmse": fit.rmse,
         "accuracy": fit.accuracy.as_data() if fit.accuracy else {},
         "findings": [str(f) for f in fit.findings],
-        "asked": {key: value for key, value in fit.settings.items() if value is not None},
+        ASKED: {key: value for key, value in fit.settings.items() if value is not None},
     }
 
 

@@ -63,14 +63,18 @@ def read_record(path: str | os.PathLike, reading: Reading | None = None, **said)
     1) and the column.
     """
     path = Path(path)
-    read = _reader(path)
+    _reader(path)
     stated = reading_of(**said).over(reading or Reading())
     if not path.is_file():
         raise DataError(f"{path}: {_why_absent(path)}")
     near, file = beside(path)
-    stated = stated.over(near)
-    record = record_from_table(read(path, stated), _stem(path), stated)
+    record = read_by(path, stated.over(near))
     return replace(record, understood=f"{record.understood}, by {file}".removeprefix(", ")) if file else record
+
+
+def read_by(path: Path, stated: Reading) -> Record:
+    """As `read_record`, by what is said alone, whatever ``import.toml`` lies beside it."""
+    return record_from_table(_reader(path)(path, stated), _stem(path), stated)
 
 
 def _text(path: Path, reading: Reading) -> Table:

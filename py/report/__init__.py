@@ -1,6 +1,6 @@
 """Report: what was found, as one page that needs nothing else, as Markdown and as JSON."""
 
-from hydrotwin.comparison.notices import notices, notices_of_variants, remarks, twins
+from hydrotwin.comparison.notices import notices, notices_of_variants, remarks, starts_told, twins
 
 from .answer import answer
 from .figure import Figure, FigureGroup, Style, decimate, error_bars, layout, line, styles
@@ -53,6 +53,7 @@ __all__ = [
     "remarks",
     "sensitivity_page",
     "shown_unit",
+    "starts_told",
     "styles",
     "table",
     "texts",

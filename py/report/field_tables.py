@@ -29,7 +29,8 @@ DEFINITIONS = (
     (
         "Lag",
         "lag",
-        "by how much p comes after y where they correlate most, within a fifth of the recording either way",
+        "by how much p comes after y where they correlate most, within a fifth of the recording either way; of a "
+        "motion that repeats the smallest that fits, for whole periods do not show",
         "Knapp, Carter, IEEE Trans. ASSP 24 (1976) 320–327",
     ),
     (
@@ -44,8 +45,8 @@ DEFINITIONS = (
         "Settling",
         "settling",
         "how much longer p takes to settle than y: from where the inputs, after a move, rest, to where it stays within "
-        "5 % of its largest distance from its final value, or rests; mean size over the moves after which y rests, "
-        "with the sign of their mean",
+        "5 % of its largest distance from its final value, or, where noise hides so little, rests; mean size over the "
+        "moves after which y rests, with the sign of their mean",
         "Franklin, Powell, Emami-Naeini, Feedback Control of Dynamic Systems, 7th ed. (2015), section 3.4",
     ),
     (

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hydrotwin.comparison import FORMAT, FREE_RUN, Acceptance, Comparison
 from hydrotwin.comparison.as_read import as_read
-from hydrotwin.comparison.notices import notices
+from hydrotwin.comparison.notices import notices, starts_told
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records.between import between
 
@@ -182,7 +182,7 @@ def _starts(comparison: Comparison, look) -> Section:
         "The first part is among the scored samples. ± is one standard deviation, as far as nothing is missing in a "
         "model. One step ahead the runs start there, too."
     )
-    others = tuple(str(s) for s in comparison.starts if not s.estimate.states)
+    others = tuple(starts_told([s for s in comparison.starts if not s.estimate.states]))
     parts = (*((found,) if found else ()), *((Note(others),) if others else ()))
     return Section("starts", "Where the runs start", parts, lead)
 

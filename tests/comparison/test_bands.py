@@ -186,8 +186,13 @@ def test_a_right_model_far_off_is_told_what_else_may_be_the_reason(identified):
     )
     assert behind == ""
     wrong = as_contender(drive().with_parameters({"motor.gain": 11.0}), "wrong")
-    reasons = other_reasons(wrong, holed, ())
+    reasons = other_reasons(wrong, holed, (), [wrong])
     assert reasons == ", or it starts elsewhere behind a hole (2.98 s to 5.02 s)"
+    other = Toy("other")
+    other.inputs = (Signal("wind", "N"),)  # of which a hole cuts the runs of all
+    lacks = driven.with_signals({"wind": np.where((driven.time > 3) & (driven.time < 5), np.nan, 1.0)}, {"wind": "N"})
+    assert "behind a hole" in other_reasons(wrong, lacks, (), [wrong, other])
+    assert "behind a hole" not in other_reasons(wrong, lacks, (), [wrong])
 
 
 def test_a_comparison_holds_its_bands_against_what_it_measured(arx):

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
 from hydrotwin.comparison import Wanted, acceptance, compare
+from hydrotwin.comparison.notices import notices
+from hydrotwin.records import Record
+from hydrotwin.records.sizes import made_by_few
 from tests.comparison.toys import Toy, recording
 
 
@@ -41,3 +46,48 @@ def test_recordings_in_which_nothing_rests_are_named_and_not_left_out_without_a_
         f"not judged on validation_2, where {metric} is not defined" for metric in ("settling", "steady", "settling")
     ]
     assert [one.caution for one in found.judged] == [*said, ""]
+
+
+def test_a_range_that_one_sample_makes_is_told_where_it_decides():
+    """A reading of ten times the range had halved nrmse, and more: what missed 4 % met it, without a word."""
+    record, asked = recording(1), Wanted(("motor_speed.nrmse < 4 %", "motor_speed.rmse < 1 rpm"))
+    found = compare([Toy("slow", lag=0.2)], [record], repeats=0, modes=("free run",))
+    assert not acceptance(found, asked).judged[0].passed and not any("range" in one for one in notices(found))
+    wrong = record["motor_speed"].copy()
+    wrong[300] = 5e3 * np.ptp(wrong)
+    found = compare(
+        [Toy("slow", lag=0.2)], [record.with_signals({"motor_speed": wrong})], repeats=0, modes=("free run",)
+    )
+    by_range, other = acceptance(found, asked).judged
+    assert by_range.passed and by_range.caution == "motor_speed of validation_1: one sample makes its range"
+    assert not other.caution
+    assert any("one sample makes its range" in one and "at 3 s" in one for one in notices(found))
+
+
+def test_noise_and_levels_are_no_range_of_a_few():
+    random, time = np.random.default_rng(0), np.arange(2000) * 0.01
+    columns = {"noise": random.standard_normal(2000), "level": np.where(time > 10, 1.0, 0.0), "few": time[:] % 1}
+    columns["start"] = np.r_[1.4, 1.11, 1.0, 0.9, 0.8, 0.7, 0.5 * np.sin(time[6:])]  # it starts in motion
+    assert not made_by_few([Record(time, columns, dict.fromkeys(columns, "m"), "r")], columns)
+    for n in (50, 200, 500):
+        noise = {"n": random.standard_normal(n)}
+        assert not made_by_few([Record(time[:n], noise, {"n": "m"}, "r")], noise)
+
+
+def test_one_step_ahead_of_a_slower_sensor_is_told_to_be_the_free_run():
+    record = recording(1)
+    slow = record.with_signals({"arm_angle": np.where(np.arange(len(record)) % 4 == 0, record["arm_angle"], np.nan)})
+    for modes, said in ((("one step",), True), (("free run",), False)):
+        found = notices(compare([Toy("good")], [slow, recording(2)], repeats=0, modes=modes))
+        assert any(one.startswith("arm_angle of validation_1 has no value in the row before") for one in found) is said
+
+
+def test_an_error_below_what_seems_noise_in_a_free_run_too_has_seen_no_sample():
+    """Of a slow sensor its motion counts as noise: a right model was told to be too good to be true."""
+    record = recording(1)
+    own = compare([Toy("good")], [record], repeats=0)
+    for free, said in ((0.1, False), (1.0, True)):
+        noise = {"free run": free, "one step": 0.1}
+        scores = [dataclasses.replace(s, noise=10.0, rmse=10.0 * noise[s.mode]) for s in own.scores]
+        found = notices(dataclasses.replace(own, scores=tuple(scores)))
+        assert any("too good to be true" in one for one in found) is said

@@ -242,6 +242,15 @@ def test_training_domain_shares_count_samples_outside():
     assert (shared.model, shared.inside_percent, shared.beyond) == ("", 100.0, ())
 
 
+def test_a_model_extrapolates_where_two_slow_sensors_never_meet_in_a_row():
+    """Rows in which all were known were counted, and of two rasters there is none: nothing was told."""
+    record, rows = recording(1), np.arange(len(recording(1)))
+    seen = {n: np.where(rows % 4 == k, record[n], np.nan) for k, n in enumerate(("arm_angle", "motor_speed"))}
+    box = TrainingDomain(("arm_angle", "motor_speed"), (-10.0, 0.0), (10.0, 1e4))
+    [own] = run([Toy("boxed", domain=box)], [record.with_signals(seen)]).domains
+    assert own.beyond == ("motor_speed",) and own.inside_percent < 90
+
+
 def test_two_recordings_of_one_name_are_told_apart():
     comparison = run([TRUE], [recording(1), recording(1)])
     assert [r.name for r in comparison.records] == ["validation_1", "validation_1 (2)"]

@@ -109,7 +109,7 @@ def test_a_range_has_its_unit_behind_each_bound_or_behind_both(text, low, high):
         ("arm_angle.coverage > 200 %", r"holds for nothing: coverage is 0 to 1 \(100 %\)"),
         ("arm_angle.coverage <= 200 %", "holds for everything"),
         ("arm_angle.fit < 1", "holds for everything: fit is at most 1"),
-        ("arm_angle.rmse < 2", "Write 2 deg"),
+        ("arm_angle.rmse < 2", "Write 2 rad, or 2 deg"),
         ("arm_angle.rmse < 2 mm", "'mm' does not fit"),
         ("arm_angle.rmse < 2 %", "share of the range is nrmse"),
         ("arm_angle.rmse < 0,2 deg", "decimal comma"),

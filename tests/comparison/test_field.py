@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -81,6 +83,31 @@ def test_settling_is_the_difference_of_the_settling_times():
     assert settling_of(u, y, opposite) == pytest.approx(-(0.15 + 0.1 + 0.1) / 3 * np.log(20), abs=0.015)
     noise = 0.01 * np.random.default_rng(1).standard_normal((4, len(TIME)))
     assert np.mean([settling_of(u, y + e, slower) for e in noise]) == pytest.approx(0.15 * np.log(20), abs=0.06)
+
+
+def test_noise_of_a_sensor_makes_no_wrong_settling_time_smaller():
+    """Its width was the band in place of 5 % of the move, within which a slow prediction settles as soon."""
+    u, y, slower = answers(0.2, 0.35)
+    noise = 0.03 * np.random.default_rng(1).standard_normal((6, len(TIME)))
+    assert np.mean([settling_of(u, y + e, slower) for e in noise]) == pytest.approx(0.15 * np.log(20), abs=0.06)
+
+
+@pytest.mark.parametrize("every", [2, 5])
+@pytest.mark.parametrize("of", ["output", "input"])
+def test_a_slower_raster_rests_as_its_samples_do(of, every):
+    """Between them it was unknown, so that it never came to rest, and neither settling nor steady were defined."""
+    u, y, slower = answers(0.2, 0.35)
+    seen, slow = np.arange(len(TIME)) % every == 0, 0.001 * np.random.default_rng(2).standard_normal(len(TIME))
+    y, u = (np.where(seen, y + slow, np.nan), u) if of == "output" else (y + slow, np.where(seen, u, np.nan))
+    found = field_of(u, y, slower + 0.1)
+    assert found.settling == pytest.approx(0.15 * np.log(20), abs=0.05) and found.steady == pytest.approx(0.1, abs=2e-3)
+
+
+def test_a_hole_of_a_slower_sensor_is_no_rest():
+    u, y = answers(0.2)
+    rough = y + np.where(np.arange(len(TIME)) % 100 < 50, 0.02, -0.02)  # it never rests
+    seen = (np.arange(len(TIME)) % 5 == 0) & ~((TIME > 2) & (TIME < 3.9))
+    assert np.isnan(field_of(u, np.where(seen, rough, np.nan), y).settling)
 
 
 def test_every_step_of_a_staircase_is_a_move():
@@ -170,7 +197,7 @@ def test_each_is_read_in_its_unit(text, low, high):
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ("arm_angle.lag < 20", "lag is in ms. Write 20 ms"),
+        ("arm_angle.lag < 20", "lag is in ms. Write 20 s, or 20 ms"),
         ("arm_angle.lag < 20 deg", "'deg' does not fit"),
         ("arm_angle.vv20 < 2 s", "is a number"),
         ("arm_angle.iso18517 > 0.9", "Did you mean 'iso18571'"),
@@ -181,6 +208,35 @@ def test_each_is_read_in_its_unit(text, low, high):
 def test_what_is_no_criterion_is_refused_with_the_way_out(text, says):
     with pytest.raises((DeclarationError, UnitError), match=says):
         criterion(text, ANGLE)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.04])
+def test_of_a_motion_that_repeats_the_lag_is_the_smallest(late):
+    """Whole periods later it correlates as well but for noise, which had chosen: 1 s, -2 s or none of a right model."""
+    for seed in range(5):
+        noise = 0.02 * np.random.default_rng(seed).standard_normal(len(TIME))
+        found = metrics_of(np.sin(4 * np.pi * TIME) + noise, np.sin(4 * np.pi * (TIME - late)))
+        assert found.lag == pytest.approx(late, abs=2e-3) and found.phase == pytest.approx(1 - late / 2, abs=0.01)
+        assert found.repeats == pytest.approx(0.5)
+
+
+def test_a_lag_that_may_be_a_period_more_says_so():
+    found = compare([Toy("good")], [recording(1)], modes=["free run"], outputs=["arm_angle"], repeats=0)
+    for repeats, said in ((0.5, "Nobody can tell it from 0.5 s more or less on validation_1"), (np.nan, "")):
+        (score,) = found.scores
+        known = dataclasses.replace(found, scores=(dataclasses.replace(score, lag=0.01, repeats=repeats),))
+        lag, rmse = acceptance(known, Wanted(("arm_angle.lag < 20 ms", "arm_angle.rmse < 9 rad"))).judged
+        assert lag.passed and lag.caution == said and not rmse.caution
+
+
+def test_noise_of_both_does_not_draw_a_lag_to_zero():
+    slow, random = (
+        np.cumsum(np.random.default_rng(3).standard_normal((2, len(TIME))), axis=1)[0],
+        np.random.default_rng(4),
+    )
+    slow = np.convolve(slow / np.std(slow), np.ones(50) / 50, "same")
+    y, p = slow + 0.3 * random.standard_normal(len(TIME)), np.roll(slow, 30) + 0.3 * random.standard_normal(len(TIME))
+    assert metrics_of(y, p, rated=False).lag == pytest.approx(0.3, abs=0.06)
 
 
 def test_a_lag_is_judged_by_its_size_and_nothing_found_fails_with_a_sentence():

@@ -11,6 +11,7 @@ import pytest
 
 import hydrotwin
 from hydrotwin.comparison import HoldLast, PhysicalContender, Wanted, acceptance, compare
+from hydrotwin.comparison.notices import starts_told
 from hydrotwin.identification.beginning import estimate_start
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
@@ -164,3 +165,19 @@ def test_an_output_that_the_fit_could_not_follow_does_not_bend_the_start():
     found = compare([contender], [record], modes=["free run"], repeats=0, initial_states="auto")
     assert next(s.coverage for s in found.scores if s.output == "position") > 0.9
     assert next(b.trusted for b in found.entrants[0].bands if b.output == "position")
+
+
+def test_a_model_whose_fit_estimated_starts_tells_that_nothing_does_here():
+    """Its fit had left the noise, and compare 40 times as much on the same recording, without a word on why."""
+    for how, said in (("free", True), ("auto", False)):
+        model = PhysicalContender(drive(), "m", provenance={"asked": {"initial_states": how}})
+        found = compare([model], [moved()], modes=["free run"], repeats=0)
+        (judged,) = acceptance(found, Wanted(("position.rmse < 1 um",))).judged
+        assert ("its fit estimated where motor.speed began" in "".join(map(str, found.starts))) is said
+        assert (judged.caution == "On moved_0 m starts as without an estimate") is said
+    model = PhysicalContender(drive(), "m", provenance={"asked": {"initial_states": "free"}})
+    twice = compare([model], [moved(), moved(1)], modes=["free run"], repeats=0)
+    [told] = starts_told(twice.starts)
+    assert told.startswith("m on moved_0, moved_1 starts as without an estimate: its fit")
+    estimated = compare([model], [moved()], modes=["free run"], repeats=0, initial_states="auto")
+    assert not any(s.estimate.note for s in estimated.starts)

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import tomllib
+
 import numpy as np
 import pytest
 
+import hydrotwin as ht
+from hydrotwin.comparison import Wanted, acceptance, replay
 from hydrotwin.records import Record, write_record
 from tests.face.command_line import hydrotwin
 
@@ -107,5 +112,42 @@ def test_what_stood_beside_a_recording_is_part_of_the_question_and_of_its_replay
     assert hydrotwin("check", own).said.count("compare on") == 2
     (tmp_path / "moved").mkdir()
     (tmp_path / "run.csv").rename(tmp_path / "moved/run.csv")
+    (tmp_path / "moved/import.toml").write_text('scale = {force = "3 N/N"}\n', encoding="utf-8")  # of what lay there
     answer = hydrotwin("check", own, "--replay", "--recordings", tmp_path / "moved")
     assert "same" in answer.said and "OTHER" not in answer.said, answer.said
+
+
+def test_a_criterion_beside_another_model_is_made_again_where_runs_were_cut_for_that_model(folder, tmp_path):
+    """Of a hole in the wind, which the slide does not read, its runs begin anew behind it: made again alone, every
+    number was another. The bound that the other model set is that of the record; it had not been tried."""
+    lines = (folder / "run.csv").read_text(encoding="utf-8").splitlines()
+    at = lines[0].split(",").index("wind [N]")
+    rows = [line.split(",") for line in lines]
+    for row in rows[100:120]:
+        row[at] = ""
+    (tmp_path / "run.csv").write_text("\n".join(map(",".join, rows)), encoding="utf-8")
+    file = tmp_path / "m.toml"
+    file.write_text((folder / "m.toml").read_text(encoding="utf-8").partition("[credibility]")[0], encoding="utf-8")
+    own, beside = f"{folder}/rig.py:slide@{file}", ("--model", f"watched={folder}/rig.py:watched", "--missing", "keep")
+    asked = ("--slope", "position", "--mode", "free run", "--accept", "rmse not worse than watched by 900 %")
+    asked += ("--accept", "position not worse than watched by -99.99 %", "--record", file, "--out", tmp_path / "report")
+    answer = hydrotwin("compare", "--model", f"own={own}", *beside, "--validate", tmp_path / "run.csv", *asked)
+    assert answer.code == 1, answer.said
+    answer = hydrotwin("check", own, "--replay", "--json")
+    made = {row["what"]: row for row in json.loads(answer.out)["again"]}
+    assert all(row["passed"] for row in made.values())
+    overall = made["rmse not worse than watched by 900 %"]
+    assert overall["why"] == "held against the bound that watched set then" and overall["unit"] in ("mm", "mm/s")
+    [worst] = [row["worst"] for row in tomllib.loads(file.read_text())["credibility"]["evidence"][-1]["criteria"][:1]]
+    assert overall["unit"] == {"position": "mm", "position.rate": "mm/s"}[worst]
+
+
+def test_a_comparison_from_python_says_itself_how_it_was_asked(folder, tmp_path):
+    """Starts, slopes and inputs between samples had to be said once more, or every number made again was another."""
+    file = tmp_path / "m.toml"
+    file.write_text((folder / "m.toml").read_text(encoding="utf-8").partition("[credibility]")[0], encoding="utf-8")
+    model = ht.load(f"{folder}/rig.py:slide@{file}")
+    asked = {"initial_states": "free", "rates": ["position"], "interpolation": {"force": "linear"}, "repeats": 0}
+    found = ht.compare([model], [ht.read_record(folder / "run.csv")], modes=["free run"], **asked)
+    ht.record_comparison(file, found, acceptance(found, Wanted(("position.rate.rmse < 1 m/s",))))
+    assert all(row.passed for row in replay(file, model))

@@ -121,13 +121,13 @@ def notes(matrix) -> list[str]:
     """What a user must know of inputs that nobody recorded, of starts that were estimated, which variants are the same,
     and what `notices` tell that was not told yet; but for variants of the base."""
     from hydrotwin.export.fmu_settings import AT_REST, REDEFINED
-    from hydrotwin.report import remarks, twins
+    from hydrotwin.report import remarks, starts_told, twins
 
     told = [
         (e.name, e.provenance[key]) for e in matrix.base.entrants for key in (REDEFINED, AT_REST) if key in e.provenance
     ]
     found = [f"{name}: {what}" for name, what in told if what]
-    found += [str(started) for started in matrix.base.starts]
+    found += starts_told(matrix.base.starts)
     return found + twins(matrix.runs) + remarks(matrix.base)
 
 

@@ -137,8 +137,8 @@ def _made_again(path: Path, model: str, folders: Sequence[Path]):
 
 
 def _all_same(made) -> bool:
-    """Nothing is another, and every comparison was made: a criterion beside another model may be left untried."""
-    return made is None or all(one.passed or (one.passed is None and one.what != "all") for one in made)
+    """Nothing is another, and every comparison was made."""
+    return made is None or all(one.passed for one in made)
 
 
 def _word(passed: bool | None) -> str:

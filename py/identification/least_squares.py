@@ -98,8 +98,9 @@ def minimise(
         if slow or poor == POOR_STEPS or (promise <= enough and damping <= 1e-2):
             return Minimum(q, z, at, number - 1, True, "converged")
         trial_q, trial_z = np.clip(q + dq, lower, upper), z + dz if shooting.locals else z
-        trial = shooting.linearise(trial_q, trial_z) if descending else None
-        gain = (at.cost - (trial.cost if trial else shooting.cost(trial_q, trial_z))) / max(promise, 1e-300)
+        trial = shooting.linearise(trial_q, trial_z, at.cost) if descending else None
+        cost = trial.cost if trial else shooting.cost(trial_q, trial_z, at.cost)
+        gain = (at.cost - cost) / max(promise, 1e-300)
         descending = gain > 1e-4
         poor += gain < POOR and promise < stalled * dispersion
         if descending:

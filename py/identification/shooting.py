@@ -114,10 +114,14 @@ class Shooting:
         low, high = (self.start.bounds[:, side] / self.start.nominal for side in (0, 1))
         return np.clip(z, low, high)
 
-    def linearise(self, q: np.ndarray, z: np.ndarray) -> Linearisation:
-        """Cost, gradient and Gauss-Newton Hessian at parameters q (np,) and start states z (segments, nz)."""
+    def linearise(self, q: np.ndarray, z: np.ndarray, above: float = np.inf) -> Linearisation:
+        """Cost, gradient and Gauss-Newton Hessian at parameters q (np,) and start states z (segments, nz).
+
+        above : a run that costs more alone may be given up, as diverged: where costs are compared with that, who knows
+        how much more it would have cost? Absurd parameters make a run a hundred times as dear as others.
+        """
         at = self._point(q)
-        rows = self._over_segments(lambda part: self._expansions(part, at, z))
+        rows = self._over_segments(lambda part: self._expansions(part, at, z, above))
         costs, diverged, gradient, hessian, squares = (np.array(c) for c in zip(*rows, strict=True))
         if self.prior:  # it belongs to no segment: the first carries it
             n = np.arange(len(q))
@@ -127,11 +131,11 @@ class Shooting:
         known = squares if self._in_one_call else None
         return Linearisation(float(costs.sum()), costs, diverged, gradient, hessian, known)
 
-    def cost(self, q: np.ndarray, z: np.ndarray) -> float:
-        """Cost alone."""
+    def cost(self, q: np.ndarray, z: np.ndarray, above: float = np.inf) -> float:
+        """Cost alone; above : as in `linearise`."""
         at = self._point(q)
         known = self.prior.cost(q) if self.prior else 0.0
-        return known + float(sum(self._over_segments(lambda part: self._costs(part, at, z))))
+        return known + float(sum(self._over_segments(lambda part: self._costs(part, at, z, above))))
 
     def residuals(self, i: int, q: np.ndarray, z: np.ndarray) -> np.ndarray | None:
         """Weighted residuals (samples, ny) of segment i, nan where nothing was measured; None when it diverged."""
@@ -254,7 +258,7 @@ class Shooting:
             cuts = np.array([(s.begin, s.first, s.last) for s in (self.segments[i] for i in members)])
             yield members, cuts, self.recordings[r]
 
-    def _costs(self, part: np.ndarray, at, z: np.ndarray) -> list[float]:
+    def _costs(self, part: np.ndarray, at, z: np.ndarray, above: float) -> list[float]:
         """The costs of the segments ``part``."""
         if not self._in_one_call:
             return [self._cost(i, at, z[i]) for i in part]
@@ -262,7 +266,7 @@ class Shooting:
         for members, cuts, recording in self._by_recording(part):
             x0, _ = self._all_seeds(members, recording.u[cuts[:, 0]], at[0], z)
             limits = np.array([self._limits[i] for i in members])  # beyond, a run has diverged, whatever follows
-            asked = recording.time, recording.u, at[0], cuts, x0, recording.y, self.weights, limits
+            asked = recording.time, recording.u, at[0], cuts, x0, recording.y, self.weights, np.minimum(limits, above)
             ran = self.propagator.costs(*asked)
             with np.errstate(all="ignore"):
                 costs = [cost + self._start_prior(i, z[i])[0] for i, cost in zip(members, ran, strict=True)]
@@ -270,7 +274,7 @@ class Shooting:
             found += [cost if cost < limit else limit for cost, limit in zip(costs, limits, strict=True)]
         return found
 
-    def _expansions(self, part: np.ndarray, at, z: np.ndarray) -> list:
+    def _expansions(self, part: np.ndarray, at, z: np.ndarray, above: float) -> list:
         """Cost, whether it diverged, gradient, Gauss-Newton Hessian and squares of the segments ``part``."""
         if not self._in_one_call:
             return [(*self._expand(i, at, z[i]), np.nan) for i in part]
@@ -280,7 +284,7 @@ class Shooting:
         for members, cuts, recording in self._by_recording(part):
             x0, dx0 = self._all_seeds(members, recording.u[cuts[:, 0]], p, z)
             with np.errstate(divide="ignore"):
-                limits = 2 * np.array([self._limits[i] for i in members])[:, None] / self.weights**2
+                limits = 2 * np.array([min(self._limits[i], above) for i in members])[:, None] / self.weights**2
             ran = self.propagator.expansions(recording.time, recording.u, p, cuts, x0, dx0, recording.y, limits)
             with np.errstate(all="ignore"):
                 costs, gradient, hessian = (np.einsum("j,sj...->s...", w, sums[:, used]) for sums in ran)

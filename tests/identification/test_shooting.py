@@ -9,8 +9,8 @@ import pytest
 
 from hydrotwin.identification import descent, horizon
 from hydrotwin.identification.horizon import window_starts
-from hydrotwin.identification.least_squares import DampedStep
-from hydrotwin.identification.shooting import WEAK_PRIOR
+from hydrotwin.identification.least_squares import DampedStep, minimise
+from hydrotwin.identification.shooting import WEAK_PRIOR, Shooting
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 from hydrotwin.simulation.library import Library
@@ -144,6 +144,26 @@ def test_a_run_that_costs_more_than_its_limit_is_given_up():
     squares, *_ = t.propagator.expansions(*asked)  # what was given up is not remembered
     assert np.isnan(given_up[0]).all() and np.isfinite(squares).all()
     np.testing.assert_array_equal(given_up[1], squares[1])
+
+
+def test_a_step_that_costs_more_than_where_it_began_is_given_up_and_the_minimum_stays_the_same(monkeypatch):
+    """Absurd parameters make a run a hundred times as dear as others, and how bad they are nobody needs to know."""
+    t = task()
+    shooting, z = descent.whole_runs(t)
+    here, there = (t.free.scaled(t.free.start) + shift for shift in (0.0, 1.0))
+    enough, whole = shooting.cost(here, z), shooting.cost(there, z)
+    assert whole > 10 * enough
+    for given_up in (shooting.linearise(there, z, enough), shooting.linearise(there, z, enough / 10)):
+        assert given_up.diverged.all() and given_up.cost > enough
+    assert shooting.cost(there, z, enough) > enough
+    assert shooting.linearise(here, z, enough).cost == shooting.linearise(here, z).cost
+
+    found, linearise, cost, steps = minimise(shooting, there, z), Shooting.linearise, Shooting.cost, []
+    monkeypatch.setattr(Shooting, "linearise", lambda self, q, z, above=0: steps.append(above) or linearise(self, q, z))
+    monkeypatch.setattr(Shooting, "cost", lambda self, q, z, above=0: cost(self, q, z))
+    patient = minimise(shooting, there, z)
+    assert np.array_equal(found.q, patient.q) and found.iterations == patient.iterations
+    assert np.isfinite(steps[1:]).all() and sorted(steps[1:], reverse=True) == steps[1:], "each held against the last"
 
 
 def test_windows_begin_again_in_the_states_where_they_began():

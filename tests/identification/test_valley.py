@@ -86,11 +86,11 @@ def test_a_cost_that_is_rough_on_a_small_scale_is_left_after_a_few_broken_promis
     class Rough:
         count, locals, free, clip, until = runs.count, runs.locals, runs.free, runs.clip, runs.until
 
-        def cost(self, q, z):
+        def cost(self, q, z, above=np.inf):
             asked.append(q)
             return runs.cost(q, z) + 0.1 * float(np.sin(3e4 * q).sum())
 
-        def linearise(self, q, z):
+        def linearise(self, q, z, above=np.inf):
             return dataclasses.replace(runs.linearise(q, z), cost=self.cost(q, z))
 
     lowest = minimise(runs, t.free.scaled(t.free.start), z).cost

@@ -93,8 +93,8 @@ def test_a_ball_on_a_stiff_stop_is_right_or_without_a_sigma(stiffness):
 def test_derivatives_that_explode_become_no_small_sigma(monkeypatch):
     linearise, rows = Shooting.linearise, Shooting.sensitivities
 
-    def exploded(self, q, z):
-        at = linearise(self, q, z)
+    def exploded(self, q, z, above=np.inf):
+        at = linearise(self, q, z, above)
         return dataclasses.replace(at, gradient=1e10 * at.gradient, hessian=1e20 * at.hessian)
 
     def exploded_rows(self, i, q, z):

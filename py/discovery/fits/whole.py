@@ -191,10 +191,10 @@ def _cheapest_first(
     began = time.process_time()
     costs = []
     for q in points:
-        costs.append(shooting.cost(q, z))
+        costs.append(shooting.cost(q, z, min(costs, default=np.inf)))  # of the dearer ones no more need be known
         if time.process_time() - began > COSTLY * (job.seconds - began):
             break  # so stiff that the first few must do
-    points = [points[k] for k in np.argsort(costs)]
+    points = [points[k] for k in np.argsort(costs, kind="stable")]
     if time.process_time() - began > COSTLY * (job.seconds - began):
         return points, None
     for k, q in enumerate(points):

@@ -92,11 +92,13 @@ def _cheapest(task: Task, job: Job) -> tuple[np.ndarray, list[np.ndarray]]:
     courses = [guess, _along(job, guess)] if job.course else [guess]
     if len(points) == len(courses) == 1:
         return points[0], guess
-    found = []
+    least, best = np.inf, (points[0], courses[0])
     for states in courses:
         shooting, z = _cut(task, points[0], seconds, states, job.question)
-        found += [(shooting.cost(q, z), q, states) for q in points]
-    return min(found, key=lambda each: each[0])[1:]
+        for q in points:
+            cost = shooting.cost(q, z, least)
+            least, best = (cost, (q, states)) if cost < least else (least, best)
+    return best
 
 
 def _along(job: Job, guess: Sequence[np.ndarray]) -> list[np.ndarray]:

@@ -50,7 +50,7 @@ class Contender(Protocol):
 
 
 class PhysicalContender:
-    """A Model or FlatModel.
+    """A Model or FlatModel, or a fit of one.
 
     ``start`` fixes start states by name (SI), or by recording and name: ``{"load_3": {"load.force": 4500.0}}``.
     ``parameters`` changes values by path (SI). ``provenance`` is of the model as it runs, by default what it
@@ -67,8 +67,7 @@ class PhysicalContender:
         parameters: Mapping[str, float] | None = None,
         provenance: Mapping | None = None,
     ):
-        own, flat = getattr(model, "provenance", None), getattr(model, "flat", model)
-        flat = _saying(flat, own).with_parameters(parameters or {})
+        flat = getattr(model, "flat", model).with_parameters(parameters or {})
         self.flat = _saying(flat, provenance)
         self.name, self.kind = name or self.flat.name, kind
         self.inputs, self.outputs, self.parameters = self.flat.inputs, self.flat.outputs, self.flat.parameters

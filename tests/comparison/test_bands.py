@@ -154,6 +154,15 @@ def identified():
     return fit, noise, PhysicalContender(fit.flat, "fitted", provenance={SPREAD: Spread.of(fit).told()})
 
 
+def test_a_fit_takes_part_as_its_model_does(identified):
+    """It has hashes of its own where a model says what it was made of: band and training were lost behind them."""
+    fit, noise, _ = identified
+    itself, model = as_contender(fit), as_contender(fit.flat)
+    assert itself.provenance == model.provenance and SPREAD in itself.provenance
+    found = compare([fit], [recorded(drive(), 2, noise=noise)], modes=[FREE_RUN], repeats=0)
+    assert np.isfinite([s.coverage for s in found.scores]).all()
+
+
 def test_a_first_sample_that_is_off_leaves_a_right_band_and_a_machine_that_is_another_does_not(identified):
     fit, noise, contender = identified
     record = recorded(drive(), 2, noise=noise)

@@ -17,17 +17,20 @@ from ..block_file import Certificate, LearnedBlock, assemble
 from ..interruption import INTERRUPTED, CtrlC
 from ..linear.periods import affordable_period
 from ..options import check_counts, check_positive
+from ..repeats import course
 from ..steady import steady_where_it_integrates
 from ..training_data import ROOM, checked_recordings, named, on_period, training_box, usable
 from .choosing import Form, Plan, Task, Trial, choose, on_everything
 from .climbing import Run, Stage
+from .committee import committee
 from .equations import STATE_NETWORK, StateShape, network_states
 from .sensitivities import Network, Sections, free_run
 
 TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
 FEWEST = 60  # samples at the network's period, over all recordings
-HELD_OUT = ((0.3, 0.45), (0.85, 1.0))  # parts of every recording that choose and take no training
+HELD_OUT = ((0.3, 0.45), (0.85, 1.0))  # parts of every course of commands that choose and take no training
 ORDERS = (1, 2, 3)  # hidden states that are tried
+MEMBERS = 3  # networks that are one: five cost more and run no better
 PAST = 6  # samples that the encoder looks back
 SAMPLES_PER_UNIT, UNITS = 100, (2, 8)  # one tanh unit for so many samples; fewest and most
 DECAYS = (1e-4, 1e-3, 1e-5)  # of the squared weights: the first for every form, the others for the best
@@ -62,6 +65,7 @@ def learn_state_network(
     past: int = PAST,
     seed: int = 0,
     starts: int = 3,
+    members: int = MEMBERS,
     effort: float = 1.0,
     budget: float | None = None,
     name: str = "state_nn",
@@ -89,6 +93,7 @@ def learn_state_network(
         hidden: tanh units; None: one for every 100 samples, 2 to 8; 0 gives a linear model.
         past: samples before the first that the encoder sees.
         seed, starts: seeds ``seed ... seed + starts - 1`` are tried.
+        members: of the candidates that run best, the mean of up to so many is the network (see `committee`).
         effort: scales the number of iterations. budget: s, after which the best so far is taken; None: no limit.
         commands: inputs whose standing still lets the machine rest (see `steady`); None: all of them.
         progress: called with a `Progress` after every iteration.
@@ -100,6 +105,7 @@ def learn_state_network(
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
     """
     counts = {"hidden_states": (hidden_states, 0), "hidden": (hidden, 0), "past": (past, 1), "starts": (starts, 1)}
+    counts |= {"members": (members, 1)}
     check_counts("learn_state_network", counts)
     check_positive("learn_state_network", effort=effort, budget=budget, period=period)
     inputs, outputs, records, _ = checked_recordings("learn_state_network", records, inputs, outputs, validate)
@@ -110,9 +116,9 @@ def learn_state_network(
     with CtrlC() as ctrl_c:
         stop = _Stop(ctrl_c, budget, began)
         task = _task(data, past, effort, {"progress": progress, "stop": stop})
-        found, trials = choose(task, forms, DECAYS, [seed + k for k in range(starts)])
-        last = on_everything(task, found)
-    net = last.net
+        found, trials = choose(task, forms, DECAYS, [seed + k for k in range(starts)], members)
+        last = [on_everything(task, one) for one in found]
+    net = committee([climb.net for climb in last])
     block = assemble(
         STATE_NETWORK,
         data.arrays | {"rate": net.rate, "state_lower": net.lower, "state_upper": net.upper} | net.parts,
@@ -124,9 +130,10 @@ def learn_state_network(
         parameters=(),
         period=period,
         domain=training_box(records, (*inputs, *outputs)),
-        description=_described(net.shape, found.form),
+        description=_described(net.shape, found),
         provenance=_provenance((records, select), found, trials)
-        | {"iterations": found.climb.iterations + last.iterations, "stopped": stop.reason or "finished"},
+        | {"iterations": sum(c.iterations for c in (*last, *(one.climb for one in found)))}
+        | {"stopped": stop.reason or "finished"},
     )
     block = replace(block, certificate=certify(block, net))
     return steady_where_it_integrates(block, records, outputs, commands=commands)
@@ -187,16 +194,16 @@ def _normalised(both, inputs, outputs, period: float) -> _Normalised:
     runs = []
     for k, (given, measured) in enumerate(zip(u, y, strict=True)):
         normal = (given - arrays["input_centre"]) / arrays["input_scale"]
-        used = np.full(len(given), k < n) if select else _used(len(given))
+        used = np.full(len(given), k < n) if select else used_samples(len(given), course(normal))
         runs.append(Run(normal, (measured - arrays["output_centre"]) / arrays["output_scale"], used))
     return _Normalised(arrays, runs)
 
 
-def _used(n: int) -> np.ndarray:
-    """Which samples of a recording are trained on."""
-    used = np.ones(n, dtype=bool)
+def used_samples(n: int, again: int) -> np.ndarray:
+    """Which samples of a recording, whose commands begin anew after ``again``, are trained on: the same each time."""
+    place, used = np.arange(n) % again, np.ones(n, dtype=bool)
     for first, last in HELD_OUT:
-        used[round(first * n) : round(last * n)] = False
+        used &= (place < round(first * again)) | (place >= round(last * again))
     return used
 
 
@@ -229,22 +236,25 @@ def _plan(longest: int, effort: float) -> Plan:
     )
 
 
-def _described(shape: StateShape, form: Form) -> str:
+def _described(shape: StateShape, found: Sequence[Trial]) -> str:
     layer = f"{shape.hidden} tanh units and a linear part" if shape.hidden else "linear"
-    level = ", the same at every level of the outputs" if form.level_free else ""
-    return f"state-space network, {shape.hidden_states} hidden states, {layer}{level}, {shape.size} weights"
+    level = ", the same at every level of the outputs" if all(one.form.level_free for one in found) else ""
+    many = f", the mean of {len(found)} networks" if len(found) > 1 else ""
+    return f"state-space network, {shape.hidden_states} hidden states, {layer}{level}, {shape.size} weights{many}"
 
 
-def _provenance(both, found: Trial, trials: list[dict]) -> dict:
-    of_form = found.form.told().items()
+def _provenance(both, found: Sequence[Trial], trials: list[dict]) -> dict:
+    best, judge = found[0], found[0].climb.judge
+    of_form = best.form.told().items()
     parts = " and ".join(f"{first:.0%} to {last:.0%}" for first, last in HELD_OUT)
     return {
         "kind": "state_network",
         "trained_on": named(both[0]),
         "selected_on": named(both[1]) or f"{parts} of every training recording",
-        "seed": found.seed,
-        **found.form.told(),
-        "held_out_error": found.error,
+        "seed": best.seed,
+        **best.form.told(),
+        "held_out_error": judge(committee([one.climb.best.net for one in found])),
+        "members": [{**one.form.told(), "seed": one.seed, "held_out_error": one.error} for one in found],
         "trials": trials,
         "seeds": [
             {key: trial[key] for key in ("seed", "held_out_error")} for trial in trials if of_form <= trial.items()

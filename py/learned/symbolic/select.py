@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Sequence, Set
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,9 +98,10 @@ class Selection:
         """
         whole = Formula((), ())
         for i, formulas in enumerate(found):
-            judged = self._refitted(distinct([*linear_formulas(self.data, i), *formulas], self.data), i)
+            linear = distinct(linear_formulas(self.data, i), self.data)
+            judged = self._refitted(distinct([*linear, *formulas], self.data), i)
             judged = [c for c in judged if np.isfinite(c.error)] or [replace(c, error=c.rms) for c in judged]
-            judged = self._grown(judged, i)
+            judged = self._grown(judged, i, {f.tokens for f in linear})
             shortest = self._shortest(judged)
             bound = max((1 + self.how.tolerance) * min(c.error for c in judged), shortest.error)
             chosen = self._pruned(shortest, i, bound)
@@ -122,13 +123,17 @@ class Selection:
         bound = (1 + self.how.tolerance) * best.error
         return min((c for c in judged if c.error <= bound or _as_good(c, best)), key=lambda c: (c.size, c.rank))
 
-    def _grown(self, judged: Sequence[Candidate], i: int) -> list[Candidate]:
-        """The candidates, and what becomes of the best and of the shortest that is as good with more terms."""
+    def _grown(self, judged: Sequence[Candidate], i: int, linear: Set[tuple]) -> list[Candidate]:
+        """The candidates, and what becomes of some with more terms: the best, the shortest that is as good, the linear.
+
+        What a search finds is chance. What grows from a linear formula is not, and stands beside it.
+        """
         judged = list(judged)
         if self.data.static:
             return judged
         terms = terms_for(self.data, i, self.how.functions)
-        for candidate in dict.fromkeys((min(judged, key=lambda c: c.rank), self._shortest(judged))):
+        plain = sorted((c for c in judged if c.formula.tokens in linear), key=lambda c: c.rank)[:1]
+        for candidate in dict.fromkeys((min(judged, key=lambda c: c.rank), self._shortest(judged), *plain)):
             try:
                 for _ in range(self.how.terms):
                     if self._late() or not np.isfinite(candidate.error):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence, Set
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -98,10 +98,9 @@ class Selection:
         """
         whole = Formula((), ())
         for i, formulas in enumerate(found):
-            linear = distinct(linear_formulas(self.data, i), self.data)
-            judged = self._refitted(distinct([*linear, *formulas], self.data), i)
+            judged = self._refitted(distinct([*linear_formulas(self.data, i), *formulas], self.data), i)
             judged = [c for c in judged if np.isfinite(c.error)] or [replace(c, error=c.rms) for c in judged]
-            judged = self._grown(judged, i, {f.tokens for f in linear})
+            judged = self._grown(judged, i)
             shortest = self._shortest(judged)
             bound = max((1 + self.how.tolerance) * min(c.error for c in judged), shortest.error)
             chosen = self._pruned(shortest, i, bound)
@@ -123,17 +122,13 @@ class Selection:
         bound = (1 + self.how.tolerance) * best.error
         return min((c for c in judged if c.error <= bound or _as_good(c, best)), key=lambda c: (c.size, c.rank))
 
-    def _grown(self, judged: Sequence[Candidate], i: int, linear: Set[tuple]) -> list[Candidate]:
-        """The candidates, and what becomes of some with more terms: the best, the shortest that is as good, the linear.
-
-        What a search finds is chance. What grows from a linear formula is not, and stands beside it.
-        """
+    def _grown(self, judged: Sequence[Candidate], i: int) -> list[Candidate]:
+        """The candidates, and what becomes of the best and of the shortest that is as good with more terms."""
         judged = list(judged)
         if self.data.static:
             return judged
         terms = terms_for(self.data, i, self.how.functions)
-        plain = sorted((c for c in judged if c.formula.tokens in linear), key=lambda c: c.rank)[:1]
-        for candidate in dict.fromkeys((min(judged, key=lambda c: c.rank), self._shortest(judged), *plain)):
+        for candidate in dict.fromkeys((min(judged, key=lambda c: c.rank), self._shortest(judged))):
             try:
                 for _ in range(self.how.terms):
                     if self._late() or not np.isfinite(candidate.error):

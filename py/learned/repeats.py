@@ -11,7 +11,6 @@ period that neither was trained on, by 11 and 3.0 mm.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -48,32 +47,6 @@ def _apart(held: np.ndarray, trained: Sequence[np.ndarray]) -> float:
     return min(found)
 
 
-@dataclass(frozen=True)
-class Course:
-    """Commands that are begun again: numbers of the recordings that do, and after how many samples they begin anew."""
-
-    members: tuple[int, ...]
-    samples: int
-
-
-def courses(inputs: Sequence[np.ndarray]) -> list[Course]:
-    """What the inputs (n, nu) of recordings, over their spreads, do that is not the same again, in their order."""
-    found: list[tuple[list[int], int]] = []
-    for i, u in enumerate(inputs):
-        n = course(u)
-        same = next((m for m, samples in found if samples >= n and _apart(u[:n], [inputs[m[0]]]) < SAME), None)
-        if same is None:
-            found.append(([i], n))
-        else:
-            same.append(i)
-    return [Course(tuple(members), samples) for members, samples in found]
-
-
-def course(u: np.ndarray) -> int:
-    """After how many samples the inputs (n, nu) of a recording, over their spreads, begin anew; n: they do not."""
-    return _period(u) or len(u)
-
-
 def without_repeats(records: Sequence[Record], inputs: Sequence[str], outputs: Sequence[str]) -> list[Record]:
     """The recordings up to where their commands begin anew, without those whose commands another one has.
 
@@ -86,7 +59,7 @@ def without_repeats(records: Sequence[Record], inputs: Sequence[str], outputs: S
     kept: list[tuple[Record, np.ndarray]] = []
     for record in records:
         u = (record.array(list(inputs)) - centre) / np.where(spread > 0, spread, 1.0)
-        n = course(u)
+        n = _period(u) or len(u)
         if _apart(u[:n], [known for _, known in kept]) >= SAME:
             kept.append((record.window(None, float(record.time[n - 1])) if n < len(u) else record, u))
     first = [record for record, _ in kept]

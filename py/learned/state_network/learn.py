@@ -17,7 +17,6 @@ from ..block_file import Certificate, LearnedBlock, assemble
 from ..interruption import INTERRUPTED, CtrlC
 from ..linear.periods import affordable_period
 from ..options import check_counts, check_positive
-from ..repeats import course
 from ..steady import steady_where_it_integrates
 from ..training_data import ROOM, checked_recordings, named, on_period, training_box, usable
 from .choosing import Form, Plan, Task, Trial, choose, on_everything
@@ -28,7 +27,7 @@ from .sensitivities import Network, Sections, free_run
 
 TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
 FEWEST = 60  # samples at the network's period, over all recordings
-HELD_OUT = ((0.3, 0.45), (0.85, 1.0))  # parts of every course of commands that choose and take no training
+HELD_OUT = ((0.3, 0.45), (0.85, 1.0))  # parts of every recording that choose and take no training
 ORDERS = (1, 2, 3)  # hidden states that are tried
 MEMBERS = 3  # networks that are one: five cost more and run no better
 PAST = 6  # samples that the encoder looks back
@@ -194,16 +193,16 @@ def _normalised(both, inputs, outputs, period: float) -> _Normalised:
     runs = []
     for k, (given, measured) in enumerate(zip(u, y, strict=True)):
         normal = (given - arrays["input_centre"]) / arrays["input_scale"]
-        used = np.full(len(given), k < n) if select else used_samples(len(given), course(normal))
+        used = np.full(len(given), k < n) if select else _used(len(given))
         runs.append(Run(normal, (measured - arrays["output_centre"]) / arrays["output_scale"], used))
     return _Normalised(arrays, runs)
 
 
-def used_samples(n: int, again: int) -> np.ndarray:
-    """Which samples of a recording, whose commands begin anew after ``again``, are trained on: the same each time."""
-    place, used = np.arange(n) % again, np.ones(n, dtype=bool)
+def _used(n: int) -> np.ndarray:
+    """Which samples of a recording are trained on."""
+    used = np.ones(n, dtype=bool)
     for first, last in HELD_OUT:
-        used &= (place < round(first * again)) | (place >= round(last * again))
+        used[round(first * n) : round(last * n)] = False
     return used
 
 

@@ -12,7 +12,6 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
 from ..network.narx import NarxShape
-from ..repeats import Course, courses
 from ..substeps import at_period
 from ..training_data import HELD_OUT, choose_input_lags, free_run_bounds, increment_spread, smoothed
 from .block import Formula
@@ -117,46 +116,37 @@ def prepare(
     as_it_is = next_value or not smooth
     series = [_series(normal("input", a), normal("output", b), shape, ratio, as_it_is) for a, b in all_runs]
     whole = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
-    fit, chosen_by = whole[: len(u)], whole[len(u) :]
-    if chosen_by:
-        return Prepared(shape, scales, series, fit, [(fit, chosen_by)], steps)
-    if next_value:
-        return Prepared(shape, scales, series, *_ends(fit), steps)
-    return Prepared(shape, scales, series, fit, _folds(fit, courses([normal("input", v) for v in u])), steps)
+    return Prepared(shape, scales, series, *_pieces(whole[: len(u)], whole[len(u) :], next_value), steps)
 
 
-def _ends(fit: Sequence[Piece]) -> tuple[list[Piece], list]:
-    """Pieces to fit without the end of every recording, which judges together with the whole."""
-    cuts = [round((1 - HELD_OUT) * p.last) for p in fit]
-    begun = [replace(p, last=k) for p, k in zip(fit, cuts, strict=True)]
-    return begun, [(begun, [*(replace(p, first=k, rest=False) for p, k in zip(fit, cuts, strict=True)), *fit])]
+def _pieces(fit: list[Piece], select: list[Piece], ends: bool) -> tuple[list[Piece], list]:
+    """Pieces to fit, and folds, from the training recordings and those to select on.
 
-
-def _folds(fit: Sequence[Piece], known: Sequence[Course]) -> list[tuple[list[Piece], list[Piece]]]:
-    """Courses of commands in groups, or parts of fewer ones, each judged by constants fitted to the others.
-
-    What repeats is in one fold: constants that were fitted to a command are no judgement there.
+    ends : without ``select``, only the end of every recording is held out and judges together with the whole.
     """
-    if len(known) >= FOLDS:
-        groups = [[i for course in known[k::FOLDS] for i in course.members] for k in range(FOLDS)]
-        return [([p for i, p in enumerate(fit) if i not in own], [fit[i] for i in own]) for own in groups]
-    count, folds = -(-FOLDS // len(known)), []
-    for course in known:
+    if select:
+        return fit, [(fit, select)]
+    if ends:
+        cuts = [round((1 - HELD_OUT) * p.last) for p in fit]
+        begun = [replace(p, last=k) for p, k in zip(fit, cuts, strict=True)]
+        return begun, [(begun, [*(replace(p, first=k, rest=False) for p, k in zip(fit, cuts, strict=True)), *fit])]
+    if len(fit) >= FOLDS:
+        groups = [fit[k::FOLDS] for k in range(FOLDS)]
+        return fit, [([p for p in fit if p not in group], group) for group in groups]
+    count, folds = -(-FOLDS // len(fit)), []
+    for j, piece in enumerate(fit):
         for k in range(count):
-            apart = {i: _apart(fit[i], k, count, course.samples) for i in course.members}
-            others = [apart[i][0] if i in apart else p for i, p in enumerate(fit)]
-            folds.append((others, [part for _, part in apart.values()]))
-    return folds
+            without, part = _apart(piece, k, count)
+            folds.append(([*fit[:j], without, *fit[j + 1 :]], [part]))
+    return fit, folds
 
 
-def _apart(piece: Piece, k: int, count: int, course: int) -> tuple[Piece, Piece]:
-    """A recording without part ``k`` of ``count`` of its course, and that part, both run from the first sample on."""
-    cuts = [round(share * course / count) for share in range(count + 1)]
-    own = [(at + cuts[k], min(at + cuts[k + 1], piece.last)) for at in range(0, piece.last, course)]
-    own = [(a, b) for a, b in own if a < b]
-    edges = [0, *(edge for part in own for edge in part), piece.last]
-    others = tuple((a, b) for a, b in zip(edges[::2], edges[1::2], strict=True) if b > a)
-    return replace(piece, last=others[-1][1], counted=others), replace(piece, last=own[-1][1], counted=tuple(own))
+def _apart(piece: Piece, k: int, count: int) -> tuple[Piece, Piece]:
+    """A recording without its part ``k`` of ``count``, and that part, both run from the first sample on."""
+    cuts = [round(share * piece.last / count) for share in range(count + 1)]
+    begin, end = cuts[k], cuts[k + 1]
+    others = tuple((a, b) for a, b in ((0, begin), (end, piece.last)) if b > a)
+    return replace(piece, last=others[-1][1], counted=others), replace(piece, last=end, counted=((begin, end),))
 
 
 def prepare_static(

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 
 from hydrotwin.learned import learn_state_network
+from hydrotwin.learned.refit import refitted
 from hydrotwin.learned.state_network.committee import committee
 from hydrotwin.learned.state_network.equations import StateShape
 from hydrotwin.learned.state_network.sensitivities import Network, Sections, encode, free_run
 from tests.learned.test_state_network import QUICK, two_tanks
+
+NAMES, FEW = (["pump"], ["level"]), QUICK | {"hidden_states": 1, "hidden": 3}
 
 
 def random_net(seed: int, hidden_states: int, hidden: int) -> Network:
@@ -42,9 +45,31 @@ def test_a_committee_of_alike_is_each_of_them():
     assert committee([net]) is net
 
 
-def test_candidates_near_the_best_are_one_network():
-    told = learn_state_network([two_tanks(1)], ["pump"], ["level"], **QUICK).provenance
-    errors = [one["held_out_error"] for one in told["members"]]
-    assert 2 <= len(errors) <= 3 and told["held_out_error"] <= 1.5 * max(errors)
-    alone = learn_state_network([two_tanks(1)], ["pump"], ["level"], **QUICK, members=1)
-    assert len(alone.provenance["members"]) == 1 and alone.structure["hidden"] == QUICK["hidden"]
+@pytest.fixture(scope="module")
+def record():
+    return two_tanks(1, 220)
+
+
+@pytest.fixture(scope="module")
+def half(record):
+    return learn_state_network([record.window(None, 150.0)], *NAMES, **FEW)
+
+
+def test_candidates_near_the_best_are_one_network(half, record):
+    errors = [one["held_out_error"] for one in half.provenance["members"]]
+    assert 2 <= len(errors) <= 3 and half.provenance["held_out_error"] <= 1.5 * max(errors)
+    assert half.structure["hidden"] == FEW["hidden"] * len(errors)
+    alone = learn_state_network([record], *NAMES, **FEW, members=1)
+    assert len(alone.provenance["members"]) == 1 and alone.structure["hidden"] == FEW["hidden"]
+
+
+def test_trained_again_on_all_it_is_the_network_that_was_judged_a_little_further(half, record):
+    again = refitted(half, "state_nn", [record], *NAMES)
+    assert again.structure == half.structure and again.provenance["members"] == half.provenance["members"]
+    for name, before in half.arrays.items():
+        if name.endswith(("weights", "bias")):
+            assert np.array_equal(again.arrays[name] == 0, before == 0), "what one network hears, others do not"
+        elif name.endswith(("centre", "scale", "rate")):
+            assert np.array_equal(again.arrays[name], before)
+    assert again.certificate.holds
+    assert not np.array_equal(again.arrays["output_weights"], half.arrays["output_weights"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 
@@ -118,15 +118,12 @@ def learn_state_network(
         found, trials = choose(task, forms, DECAYS, [seed + k for k in range(starts)], members)
         last = [on_everything(task, one) for one in found]
     net = committee([climb.net for climb in last])
-    block = assemble(
-        STATE_NETWORK,
-        data.arrays | {"rate": net.rate, "state_lower": net.lower, "state_upper": net.upper} | net.parts,
-        net.shape.structure(),
+    block = network_block(
+        net,
+        data.arrays,
         name=name,
         inputs=inputs,
         outputs=outputs,
-        states=network_states(net.shape, outputs),
-        parameters=(),
         period=period,
         domain=training_box(records, (*inputs, *outputs)),
         description=_described(net.shape, found),
@@ -134,8 +131,16 @@ def learn_state_network(
         | {"iterations": sum(c.iterations for c in (*last, *(one.climb for one in found)))}
         | {"stopped": stop.reason or "finished"},
     )
-    block = replace(block, certificate=certify(block, net))
     return steady_where_it_integrates(block, records, outputs, commands=commands)
+
+
+def network_block(net: Network, arrays: Mapping[str, np.ndarray], **frame) -> LearnedBlock:
+    """A network as a block with its certificate; arrays: the scales among them, frame: other fields of the block."""
+    kept = {name: arrays[name] for part in ("input", "output") for name in (f"{part}_centre", f"{part}_scale")}
+    kept |= {"rate": net.rate, "state_lower": net.lower, "state_upper": net.upper} | net.parts
+    states = network_states(net.shape, frame["outputs"])
+    block = assemble(STATE_NETWORK, kept, net.shape.structure(), states=states, parameters=(), **frame)
+    return replace(block, certificate=certify(block, net))
 
 
 class _Stop:
@@ -213,14 +218,20 @@ def _forms(data: _Normalised, hidden_states: int | None, hidden: int | None) -> 
 
 
 def _task(data: _Normalised, past: int, effort: float, hooks: dict) -> Task:
-    y = np.concatenate([run.y for run in data.runs if run.used.any()])
+    bounds = np.array(bounds_of([run for run in data.runs if run.used.any()]))
+    return Task(data.runs, bounds, past, plan_of(data.runs, effort), hooks)
+
+
+def bounds_of(runs: Sequence[Run]) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest normalised outputs (ny,) of free runs: what was seen, and room beyond it."""
+    y = np.concatenate([run.y for run in runs])
     room = ROOM * np.ptp(y, axis=0)
-    longest = max(len(run.u) for run in data.runs)
-    return Task(data.runs, np.array([y.min(axis=0) - room, y.max(axis=0) + room]), past, _plan(longest, effort), hooks)
+    return y.min(axis=0) - room, y.max(axis=0) + room
 
 
-def _plan(longest: int, effort: float) -> Plan:
+def plan_of(runs: Sequence[Run], effort: float = 1.0) -> Plan:
     """Sections that grow, the longer ones together with whole recordings."""
+    longest = max(len(run.u) for run in runs)
     short, middle, long = (max(longest // share, SHORTEST) for share in SHARES)
 
     def stage(horizon: int, iterations: int, whole: bool) -> Stage:

@@ -66,8 +66,8 @@ class Tried:
 
     @property
     def numbers(self) -> int:
-        """How many the block is made of: what it takes to write it down."""
-        return sum(np.size(values) for values in self.block.arrays.values()) if self.block else 0
+        """How many the block is made of, without zeros: what it takes to write it down."""
+        return int(sum(map(np.count_nonzero, self.block.arrays.values()))) if self.block else 0
 
     @property
     def errors(self) -> list[float]:

@@ -21,7 +21,7 @@ KEPT = "Trained again on all recordings, it ran worse over what had been held ou
 
 NETWORK = ("period", "delay", "substeps", "integrates", "hidden")  # blocks of an older version lack some
 
-FORMULAS = ("symbolic", "narx")  # kinds in provenances
+AGAIN = ("symbolic", "narx", "state_network")  # kinds in provenances that are trained on from where they are
 FORMS: Mapping[str, Callable[[Mapping], dict]] = {  # by kind, the options that say what a provenance tells was chosen
     "arx": lambda told: _arx_form(told["arx"]),
     "network": lambda told: (
@@ -50,20 +50,18 @@ def refitted(
     """A block of ``kind`` trained again on all of ``records``, what was held out of ``block`` among them.
 
     The form that was chosen for ``block``, its period, lags, hidden units or kernel, stays where it is one of `FORMS`:
-    to choose it again takes most of a training, and what was judged is the form. Of formulas (`FORMULAS`) only the
-    constants are fitted again. A training may end elsewhere. One that then runs worse over what it has now seen than
-    ``block`` did unseen is no better anywhere else, and ``block`` is answered. The card in ``provenance["free_run"]``
-    stays that of ``block``, which alone has something to be judged on; it says what became of it, and ``"refitted"``
-    whether it is the new one.
+    to choose it again takes most of a training, and what was judged is the form. Of formulas only the constants are
+    fitted again, and a network with hidden states is trained on from where it is (`AGAIN`). A training may end
+    elsewhere. One that then runs worse over what it has now seen than ``block`` did unseen is no better anywhere else,
+    and ``block`` is answered. The card in ``provenance["free_run"]`` stays that of ``block``, which alone has something
+    to be judged on; it says what became of it, and ``"refitted"`` whether it is the new one.
     Arguments and errors: those of `learn`.
     """
     train, records = trainer(kind, fit), unbroken_for(records, inputs, outputs, model)
     options = (form_of(block) if fit is None else {}) | options
     options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
-    if fit is None and block.provenance.get("kind") in FORMULAS and not block.provenance.get("static"):
-        from .symbolic.again import fitted_again
-
-        again = fitted_again(block, records, inputs, outputs)
+    if fit is None and block.provenance.get("kind") in AGAIN and not block.provenance.get("static"):
+        again = _trained_on(block)(block, records, inputs, outputs)
     elif kind == "hybrid":
         again = train(model, records, list(outputs) or None, **options)
     else:
@@ -76,6 +74,15 @@ def refitted(
         return replace(block, provenance={**block.provenance, "free_run": told})
     kept = {key: block.provenance[key] for key in ("ranking", "chosen_on") if key in block.provenance}
     return validated(replace(again, provenance={**again.provenance, **kept, "free_run": told}), validate)
+
+
+def _trained_on(block: Block) -> Callable[..., Block]:
+    """What trains a block of `AGAIN` on; a formula needs libraries that others do not."""
+    if block.provenance["kind"] == "state_network":
+        from .state_network.again import fitted_again
+    else:
+        from .symbolic.again import fitted_again
+    return fitted_again
 
 
 def form_of(block: Block) -> dict:

@@ -55,7 +55,7 @@ def test_progress_tells_what_ended_and_what_is_best(best):
 @pytest.mark.parametrize(("small", "chosen"), [([0.1, 0.09, 0.098], "piecewise"), ([0.3, 0.3, 0.3], "grey_box")])
 def test_of_kinds_that_are_as_good_the_one_with_the_fewest_numbers_is_taken(best, records, monkeypatch, small, chosen):
     block, _ = best
-    rich = replace(block, arrays=dict(block.arrays) | {"more": np.zeros(1000)})
+    rich = replace(block, arrays=dict(block.arrays) | {"more": np.ones(1000)})
 
     def tried(kind, one, stretches):
         share = float(np.sqrt(np.mean(np.square(stretches))))

@@ -177,7 +177,7 @@ def test_the_same_seed_and_data_give_the_same_block_whatever_judges(tanks):
 
 def test_few_samples_get_a_small_network():
     block = learn_state_network([two_tanks(1, 160)], [PUMP], [LEVEL], starts=1, effort=0.3)
-    assert block.structure["hidden"] == 2
+    assert block.provenance["hidden"] == 2 and block.structure["hidden"] == 2 * len(block.provenance["members"])
     run = simulate(block, two_tanks(2, 160))
     assert np.isfinite(run["level"]).all()
 

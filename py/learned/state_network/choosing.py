@@ -22,6 +22,7 @@ LINEAR_DECAY = 1e-8
 SHORTEST = 30  # samples between held-out parts from which a linear start is estimated
 HELD_BACK = 10.0  # times the decay, where nothing is left that tells when to stop
 WHOLE = 10**9  # a horizon longer than any recording
+NEAR = 2.0  # times the error of the best: a network that is worse is in no committee with it
 
 
 @dataclass(frozen=True)
@@ -128,11 +129,12 @@ def start_trial(task: Task, form: Form, linear: Network, seed: int, samples: int
 
 
 def choose(
-    task: Task, forms: Sequence[Form], decays: Sequence[float], seeds: Sequence[int]
-) -> tuple[Trial, list[dict]]:
-    """The best candidate by free run on what is held out, trained to the end, and what each trial came to.
+    task: Task, forms: Sequence[Form], decays: Sequence[float], seeds: Sequence[int], members: int
+) -> tuple[list[Trial], list[dict]]:
+    """The best candidates by free run on what is held out, trained to the end, and what each trial came to.
 
-    Every form is tried from the first seed, the best form with other decays, then from all seeds; the best goes on.
+    Every form is tried from the first seed, the best form with other decays, then from all seeds; of all these trials
+    up to ``members`` that are near the best go on, the best first.
     """
     linear = {form: linear_network(task, form) for form in forms}
     trials = [_tried(task, form, linear[form].net, seeds[0]) for form in forms]
@@ -144,10 +146,16 @@ def choose(
         trials += [_tried(task, form, start.net, seed) for seed in seeds[1:]]
     best = _best(trials)
     told = [{**t.form.told(), "seed": t.seed, "held_out_error": t.error} for t in trials]
-    last = Climb(task.course(best.form, best.climb.course.shape, best.form.decay), best.climb.best.net, best.seed)
-    last.through(task.plan.final)
-    last.iterations += sum(t.climb.iterations for t in trials)
-    return Trial(best.form, best.seed, last), told
+    near = [t for t in sorted(trials, key=lambda t: t.error) if t is best or t.error <= NEAR * best.error]
+    found = [_finished(task, t) for t in near[: members if best.form.hidden else 1]]
+    found[0].climb.iterations += sum(t.climb.iterations for t in trials)
+    return found, told
+
+
+def _finished(task: Task, trial: Trial) -> Trial:
+    """A trial trained to the end, on all that is trained on."""
+    course = task.course(trial.form, trial.climb.course.shape, trial.form.decay)
+    return Trial(trial.form, trial.seed, Climb(course, trial.climb.best.net, trial.seed).through(task.plan.final))
 
 
 def on_everything(task: Task, found: Trial) -> Climb:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import metadata
 
@@ -21,6 +21,7 @@ from ..steady import steady_where_it_integrates
 from ..training_data import ROOM, checked_recordings, named, on_period, training_box, usable
 from .choosing import Form, Plan, Task, Trial, choose, on_everything
 from .climbing import Run, Stage
+from .committee import committee
 from .equations import STATE_NETWORK, StateShape, network_states
 from .sensitivities import Network, Sections, free_run
 
@@ -28,6 +29,7 @@ TOLERANCE = 1e-12  # of the outputs' scale: deployed against trained
 FEWEST = 60  # samples at the network's period, over all recordings
 HELD_OUT = ((0.3, 0.45), (0.85, 1.0))  # parts of every recording that choose and take no training
 ORDERS = (1, 2, 3)  # hidden states that are tried
+MEMBERS = 3  # networks that are one: five cost more and run no better
 PAST = 6  # samples that the encoder looks back
 SAMPLES_PER_UNIT, UNITS = 100, (2, 8)  # one tanh unit for so many samples; fewest and most
 DECAYS = (1e-4, 1e-3, 1e-5)  # of the squared weights: the first for every form, the others for the best
@@ -62,6 +64,7 @@ def learn_state_network(
     past: int = PAST,
     seed: int = 0,
     starts: int = 3,
+    members: int = MEMBERS,
     effort: float = 1.0,
     budget: float | None = None,
     name: str = "state_nn",
@@ -89,6 +92,7 @@ def learn_state_network(
         hidden: tanh units; None: one for every 100 samples, 2 to 8; 0 gives a linear model.
         past: samples before the first that the encoder sees.
         seed, starts: seeds ``seed ... seed + starts - 1`` are tried.
+        members: of the candidates that run best, the mean of up to so many is the network (see `committee`).
         effort: scales the number of iterations. budget: s, after which the best so far is taken; None: no limit.
         commands: inputs whose standing still lets the machine rest (see `steady`); None: all of them.
         progress: called with a `Progress` after every iteration.
@@ -100,6 +104,7 @@ def learn_state_network(
         DataError: too few samples, NaN, gaps, signals that never move. DeclarationError: impossible options.
     """
     counts = {"hidden_states": (hidden_states, 0), "hidden": (hidden, 0), "past": (past, 1), "starts": (starts, 1)}
+    counts |= {"members": (members, 1)}
     check_counts("learn_state_network", counts)
     check_positive("learn_state_network", effort=effort, budget=budget, period=period)
     inputs, outputs, records, _ = checked_recordings("learn_state_network", records, inputs, outputs, validate)
@@ -110,26 +115,32 @@ def learn_state_network(
     with CtrlC() as ctrl_c:
         stop = _Stop(ctrl_c, budget, began)
         task = _task(data, past, effort, {"progress": progress, "stop": stop})
-        found, trials = choose(task, forms, DECAYS, [seed + k for k in range(starts)])
-        last = on_everything(task, found)
-    net = last.net
-    block = assemble(
-        STATE_NETWORK,
-        data.arrays | {"rate": net.rate, "state_lower": net.lower, "state_upper": net.upper} | net.parts,
-        net.shape.structure(),
+        found, trials = choose(task, forms, DECAYS, [seed + k for k in range(starts)], members)
+        last = [on_everything(task, one) for one in found]
+    net = committee([climb.net for climb in last])
+    block = network_block(
+        net,
+        data.arrays,
         name=name,
         inputs=inputs,
         outputs=outputs,
-        states=network_states(net.shape, outputs),
-        parameters=(),
         period=period,
         domain=training_box(records, (*inputs, *outputs)),
-        description=_described(net.shape, found.form),
+        description=_described(net.shape, found),
         provenance=_provenance((records, select), found, trials)
-        | {"iterations": found.climb.iterations + last.iterations, "stopped": stop.reason or "finished"},
+        | {"iterations": sum(c.iterations for c in (*last, *(one.climb for one in found)))}
+        | {"stopped": stop.reason or "finished"},
     )
-    block = replace(block, certificate=certify(block, net))
     return steady_where_it_integrates(block, records, outputs, commands=commands)
+
+
+def network_block(net: Network, arrays: Mapping[str, np.ndarray], **frame) -> LearnedBlock:
+    """A network as a block with its certificate; arrays: the scales among them, frame: other fields of the block."""
+    kept = {name: arrays[name] for part in ("input", "output") for name in (f"{part}_centre", f"{part}_scale")}
+    kept |= {"rate": net.rate, "state_lower": net.lower, "state_upper": net.upper} | net.parts
+    states = network_states(net.shape, frame["outputs"])
+    block = assemble(STATE_NETWORK, kept, net.shape.structure(), states=states, parameters=(), **frame)
+    return replace(block, certificate=certify(block, net))
 
 
 class _Stop:
@@ -207,14 +218,20 @@ def _forms(data: _Normalised, hidden_states: int | None, hidden: int | None) -> 
 
 
 def _task(data: _Normalised, past: int, effort: float, hooks: dict) -> Task:
-    y = np.concatenate([run.y for run in data.runs if run.used.any()])
+    bounds = np.array(bounds_of([run for run in data.runs if run.used.any()]))
+    return Task(data.runs, bounds, past, plan_of(data.runs, effort), hooks)
+
+
+def bounds_of(runs: Sequence[Run]) -> tuple[np.ndarray, np.ndarray]:
+    """Lowest and highest normalised outputs (ny,) of free runs: what was seen, and room beyond it."""
+    y = np.concatenate([run.y for run in runs])
     room = ROOM * np.ptp(y, axis=0)
-    longest = max(len(run.u) for run in data.runs)
-    return Task(data.runs, np.array([y.min(axis=0) - room, y.max(axis=0) + room]), past, _plan(longest, effort), hooks)
+    return y.min(axis=0) - room, y.max(axis=0) + room
 
 
-def _plan(longest: int, effort: float) -> Plan:
+def plan_of(runs: Sequence[Run], effort: float = 1.0) -> Plan:
     """Sections that grow, the longer ones together with whole recordings."""
+    longest = max(len(run.u) for run in runs)
     short, middle, long = (max(longest // share, SHORTEST) for share in SHARES)
 
     def stage(horizon: int, iterations: int, whole: bool) -> Stage:
@@ -229,22 +246,25 @@ def _plan(longest: int, effort: float) -> Plan:
     )
 
 
-def _described(shape: StateShape, form: Form) -> str:
+def _described(shape: StateShape, found: Sequence[Trial]) -> str:
     layer = f"{shape.hidden} tanh units and a linear part" if shape.hidden else "linear"
-    level = ", the same at every level of the outputs" if form.level_free else ""
-    return f"state-space network, {shape.hidden_states} hidden states, {layer}{level}, {shape.size} weights"
+    level = ", the same at every level of the outputs" if all(one.form.level_free for one in found) else ""
+    many = f", the mean of {len(found)} networks" if len(found) > 1 else ""
+    return f"state-space network, {shape.hidden_states} hidden states, {layer}{level}, {shape.size} weights{many}"
 
 
-def _provenance(both, found: Trial, trials: list[dict]) -> dict:
-    of_form = found.form.told().items()
+def _provenance(both, found: Sequence[Trial], trials: list[dict]) -> dict:
+    best, judge = found[0], found[0].climb.judge
+    of_form = best.form.told().items()
     parts = " and ".join(f"{first:.0%} to {last:.0%}" for first, last in HELD_OUT)
     return {
         "kind": "state_network",
         "trained_on": named(both[0]),
         "selected_on": named(both[1]) or f"{parts} of every training recording",
-        "seed": found.seed,
-        **found.form.told(),
-        "held_out_error": found.error,
+        "seed": best.seed,
+        **best.form.told(),
+        "held_out_error": judge(committee([one.climb.best.net for one in found])),
+        "members": [{**one.form.told(), "seed": one.seed, "held_out_error": one.error} for one in found],
         "trials": trials,
         "seeds": [
             {key: trial[key] for key in ("seed", "held_out_error")} for trial in trials if of_form <= trial.items()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -104,6 +106,16 @@ def test_a_promise_is_the_share_of_what_the_base_leaves_in_windows_as_long(told)
     assert told.promise(one) < 0.01 and told.promise(one, 1) == pytest.approx(1.0, abs=0.01)
     assert 0.4 < told.promise(other) < 0.8
     assert told.visible(1) > told.visible(0) > 1000.0
+
+
+def test_a_look_that_began_in_longer_windows_is_held_against_those(told):
+    """Shorter ones, which it did not go through, would seem to have left nothing."""
+    base, (one, *_) = told.entry(), singles(told)
+    whole = seen(8.0, 20.0)
+    base.look = whole
+    one.look = dataclasses.replace(whole, squares=whole.squares[1:], counts=whole.counts[1:], begin=1)
+    assert [told.promise(one, most) for most in (1, 2, None)] == pytest.approx([1.0, 1.0, 1.0], abs=0.05)
+    assert not told.was_right(one, 0.5)
 
 
 def test_what_a_base_leaves_in_windows_is_never_more_than_the_mean_of_the_output_would(told):

@@ -237,7 +237,7 @@ class Table:
     def promise(self, entry: Entry, most: int | None = None) -> float:
         """Share of what the base leaves that a structure leaves in windows as long; else in its fit, 1 without one.
 
-        most : of how many lengths the last is meant at most; None: of all that it went through.
+        most : of how many lengths the last is meant at most, or the first that it went through; None: of all of these.
         """
         if entry.look is None or self.entries[NOTHING].look is None:
             return self.share(entry) if entry.fitted and entry.members else 1.0
@@ -246,7 +246,7 @@ class Table:
             whole = score(base, Floor(self.noise, self.coloured))
             left = score(entry.look.left, Floor(self.noise, self.coloured, base.variance))
             return left / whole if whole > 0 else 1.0
-        stage = min(entry.look.end, most or entry.look.end) - 1
+        stage = max(min(entry.look.end, most or entry.look.end) - 1, entry.look.begin)
         before = self.base_in_windows(stage)
         whole = self._in_windows(before)
         return self._in_windows(self._left(entry.look, stage), before) / whole if whole > 0 else 1.0

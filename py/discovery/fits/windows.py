@@ -25,6 +25,7 @@ from .job import Job, Look, Question, apart, broad, not_below, point_of, task_of
 STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 10.0, "most": 12}  # of a minimisation over windows
 TO_ITS_END = {**STAGE, "most": 100}  # of one along whose course others begin: short of a minimum all of them do much
 TURNS = 2  # of weights and minimum at every length
+MOST_TURNS = 10  # of one along whose course others begin: what its own next turn would bring, every one of them brings
 CHANGED = np.log(1.5)  # of the sizes that are left, from which on another turn is worth it
 
 
@@ -44,12 +45,12 @@ def _led(job: Job) -> Look:
     task = task_of(job, job.starts[0], size, names, rough=True)
     point, states = _cheapest(task, job)
     squares, counts, trail, courses = [], [], [], []
-    rules = TO_ITS_END if job.tells_courses else STAGE
+    rules, turns = (TO_ITS_END, MOST_TURNS) if job.tells_courses else (STAGE, TURNS)
     for seconds in q.lengths[begin:end]:
         shooting, z = _cut(undecided(task), point, seconds, states, q)
         if trail:
             z = _nearer(task, shooting, point, z, q.lengths[0])
-        for _ in range(TURNS):
+        for _ in range(turns):
             found = minimise(shooting, point, z, **rules, until=job.seconds)
             point, z = found.q, found.z
             left, count = _left(shooting, found)

@@ -119,6 +119,16 @@ def test_what_others_begin_along_is_led_to_its_end(asked, monkeypatch):
     assert set(most) == {12}
 
 
+def test_its_weights_are_turned_until_they_settle(asked, monkeypatch):
+    turns = []
+    monkeypatch.setattr(windows, "CHANGED", -1.0)  # no turn is the last one
+    monkeypatch.setattr(windows, "minimise", lambda *a, **rules: turns.append(1) or minimise(*a, **rules))
+    look(rubbing(asked, 140.0, stages=(0, 1)))
+    few, turns[:] = len(turns), []
+    look(rubbing(asked, 140.0, stages=(0, 1), tells_courses=True))
+    assert (few, len(turns)) == (windows.TURNS, windows.MOST_TURNS)
+
+
 def test_a_course_that_costs_more_than_a_guess_is_not_taken(asked):
     guessed = look(rubbing(asked, 140.0, stages=(0, 1)))
     wrong = tuple({s.name: np.full(len(r.time), 1.0) for s in started("coulomb_friction")[0].states} for r in asked.fit)

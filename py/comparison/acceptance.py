@@ -14,11 +14,12 @@ from hydrotwin.models.language.provenance import made_from
 from hydrotwin.records.sizes import made_by_few
 
 from .asked import SUFFIX, Asked, check_criterion, criteria_about, judged_model, left_out
+from .band import Band
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst
 from .earlier import earlier
-from .elsewhere import beside_holes, holes_of
+from .elsewhere import holes_of, unknown_of
 from .metric import AGAIN, METRICS, OF_OUTPUT, SCORED
 from .rating import INNER
 from .sentence import other_of
@@ -119,11 +120,11 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
 
 
 def judged_so(one: Criterion, comparison: Comparison) -> Judged:
-    """A criterion between bounds of its own on the model judged. DeclarationError where nothing tests it."""
+    """A criterion between bounds of its own on the first model. DeclarationError where nothing tests it."""
     asked = Asked.of(comparison)
     model = judged_model(asked, "")
     check_criterion(one, asked, model)
-    return judge(one, _Values(comparison, model, one, Path()))
+    return _told(judge(one, _Values(comparison, model, one, Path())), comparison, model)
 
 
 def _earlier(path: Path, variant: str):
@@ -143,7 +144,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         samples=sum(samples.values()) or None,
         without=without,
         lacking=values.lacking(holding, about.than if np.isfinite(one.value) else model),
-        doubt=_doubt(comparison, model, about),
+        doubt=_doubt(comparison, model, about.output),
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
         skipped=values.lacking(holding, model) if METRICS[about.metric].at_times and np.isfinite(one.value) else (),
         seen=_seen(comparison, model, holding),
@@ -151,16 +152,22 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         mode=comparison.modes[0],
         flat=_flat(comparison, about, holding),
         holes=holes_of(judged_on, comparison.entrants),
-        beside=beside_holes(judged_on, comparison.entrants),
+        unknown=unknown_of(judged_on, about.output),
         otherwise=(
             *_started_otherwise(comparison, model, about.than, holding),
             *_started_untold(comparison, model, holding),
             *_made_by_few(comparison, model, about, holding),
+            *_unjudged(comparison, model, about),
             *_repeats(values.rows(model).values(), about, holding),
         ),
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))
+    doubt = _doubt(comparison, about.than, about.output) if METRICS[about.metric].of_band else ""
+    if doubt:  # nothing is shown by being as good as a band that does not hold
+        return dataclasses.replace(
+            one, high=np.nan, reason=f"{about.than} is no measure, its band cannot be trusted: {doubt}"
+        )
     if np.isnan(one.high) and not about.than.endswith(SUFFIX):
         why = _reason(comparison, about.than, about, holding)
         return dataclasses.replace(one, reason=f"{about.than} is no measure, {why}" if why else "")
@@ -250,13 +257,21 @@ def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) ->
     return f"{zero}: {about.output} moves by only {100 * least:.2g} % of its size, and errors as large hardly count"
 
 
-def _doubt(comparison: Comparison, model: str, about: Criterion) -> str:
-    """Why the band of the judged output, or of the other model where it counts, cannot be trusted; "" where it can."""
+def _doubt(comparison: Comparison, model: str, output: str) -> str:
+    """Why the band of an output of a model cannot be trusted, in free run; "" where it can."""
+    return next((b.why for b in _bands(comparison, model, output) if b.trusted is False), "")
+
+
+def _unjudged(comparison: Comparison, model: str, about: Criterion) -> list[str]:
+    """That a band which counts was never held against anything, in a sentence."""
+    bands = _bands(comparison, model, about.output) if METRICS[about.metric].of_band else []
+    return [f"Of the band of {b.output}: {b.why}" for b in bands if b.trusted is None]
+
+
+def _bands(comparison: Comparison, model: str, output: str) -> list[Band]:
     if comparison.modes[0] != FREE_RUN:
-        return ""
-    names = (model, about.than) if METRICS[about.metric].of_band else (model,)
-    bands = [b for n in names for e in comparison.entrants if e.name == n for b in e.bands if b.output == about.output]
-    return next((band.why for band in bands if band.trusted is False), "")
+        return []
+    return [b for e in comparison.entrants if e.name == model for b in e.bands if b.output == output]
 
 
 def _holding(comparison: Comparison, one: Criterion) -> tuple[str, ...]:

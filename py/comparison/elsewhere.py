@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from hydrotwin.records import Record, unbroken
+from hydrotwin.records.unbroken import unknown_stretches
 
 from .contender import Contender
 from .criteria import some_of
@@ -35,10 +36,10 @@ def holes_of(records: Sequence[Record], models: Iterable) -> str:
     return some_of([w.holes if len(records) == 1 else f"{w.holes} of {w.name}" for w in wholes])
 
 
-def beside_holes(records: Sequence[Record], models: Iterable) -> str:
-    """Samples in which nothing was run, for they lie in a hole or beside it, in words; "" without any."""
-    known = input_names(models)
-    lost = [(r, len(r) - sum(map(len, unbroken(r, known)))) for r in records]
+def unknown_of(records: Sequence[Record], output: str) -> str:
+    """Samples that say nothing of an output, in words; "" without any: its sensor was silent for longer than the steps
+    of its own raster, or nothing was run there, for which a comparison leaves it unknown (`run.measured_in`)."""
+    lost = [(r, int(unknown_stretches(r.time, r[output]).sum())) for r in records]
     return some_of([f"{count} of {len(r)} samples of {r.name}" for r, count in lost if count])
 
 

@@ -6,10 +6,11 @@ import dataclasses
 
 import numpy as np
 
-from hydrotwin.comparison import Wanted, acceptance, compare
+from hydrotwin.comparison import Wanted, acceptance, compare, junit
 from hydrotwin.comparison.notices import notices
 from hydrotwin.records import Record
 from hydrotwin.records.sizes import made_by_few
+from hydrotwin.report.acceptance import acceptance_data, verdict
 from tests.comparison.toys import Toy, recording
 
 
@@ -91,3 +92,36 @@ def test_an_error_below_what_seems_noise_in_a_free_run_too_has_seen_no_sample():
         scores = [dataclasses.replace(s, noise=10.0, rmse=10.0 * noise[s.mode]) for s in own.scores]
         found = notices(dataclasses.replace(own, scores=tuple(scores)))
         assert any("too good to be true" in one for one in found) is said
+
+
+def test_samples_that_an_output_lacks_are_told_where_it_is_judged(tmp_path):
+    """Read with missing = "keep", a silent sensor was told as a note alone: PASS on the rest, without a word."""
+    record = recording(1)
+    silent = np.where((record.time > 2) & (record.time < 5), np.nan, record["arm_angle"])
+    found = compare([Toy("good")], [record.with_signals({"arm_angle": silent})], repeats=0, modes=("free run",))
+    texts = ("arm_angle.rmse < 9 deg", "motor_speed.rmse < 900 rpm", "fit > 1 %")
+    accepted = acceptance(found, Wanted(texts))
+    angle, speed, every = accepted.judged
+    said = "not judged on 299 of 800 samples of validation_1, where arm_angle is not known or nothing was run"
+    assert (angle.caution, speed.caution) == (said, "") and said in every.caution
+    assert said in " ".join(verdict(accepted)) and said in junit(accepted, "here")
+    assert any(said in row["caution"] for row in acceptance_data(accepted)["acceptance"]["criteria"])
+
+
+def test_a_slower_sensor_lacks_no_samples():
+    record = recording(1)
+    slow = record.with_signals({"arm_angle": np.where(np.arange(len(record)) % 4 == 0, record["arm_angle"], np.nan)})
+    found = compare([Toy("good")], [slow], repeats=0, modes=("free run",))
+    assert not acceptance(found, Wanted(("arm_angle.rmse < 9 deg",))).judged[0].caution
+
+
+def test_a_bound_that_the_metric_cannot_pass_is_none():
+    """``theil in [0, 10] %`` named the best output as the worst, and its caution was lost."""
+    record = recording(1)
+    silent = record.with_signals({"pressure_cap": np.where(record.time > 4, np.nan, record["pressure_cap"])})
+    found = compare([Toy("soft", stiffness=3.6e6)], [silent], repeats=0, modes=("free run",))
+    texts = ("theil in [0, 10] %", "theil <= 10 %", "arm_angle.mae in [0, 1] rad", "arm_angle.fit in [90, 100] %")
+    ranged, plain, error, share = acceptance(found, Wanted(texts)).judged
+    assert ranged.criterion.output == plain.criterion.output == "pressure_cap"
+    assert ranged.margin == plain.margin and ranged.caution == plain.caution != ""
+    assert np.isclose(error.margin, 1 - error.value) and np.isclose(share.margin, share.value / 0.9 - 1)

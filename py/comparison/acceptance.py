@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError
-from hydrotwin.models.language.provenance import made_from
+from hydrotwin.models.language.provenance import made_from_rows
 from hydrotwin.records.sizes import made_by_few
 
 from .asked import SUFFIX, Asked, check_criterion, criteria_about, judged_model, left_out
@@ -195,16 +195,15 @@ def _reason(comparison: Comparison, model: str, about: Criterion, holding: tuple
 
 def _seen(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
     """Recordings that a model was fitted to or trained on: that it is good there, it has from them."""
-    known = frozenset().union(*(made_from(e.provenance) for e in comparison.entrants if e.name == model))
-    return tuple(r.name for r in comparison.records if r.name in holding and comparison.hashes(r) & known)
+    rows = [row for e in comparison.entrants if e.name == model for row in made_from_rows(e.provenance)]
+    return tuple(r.name for r in comparison.records if r.name in holding and comparison.follows(r, rows))
 
 
 def _trained(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
     """Recordings that were named as what the models were made from, beside those of which the model itself says so."""
-    named = {r.digest for r in comparison.train_records if r.digest}
     own = _seen(comparison, model, holding)
     rest = [r for r in comparison.records if r.name in holding and r.name not in own]
-    return tuple(r.name for r in rest if comparison.hashes(r) & named)
+    return tuple(r.name for r in rest if comparison.follows(r, comparison.train_rows))
 
 
 def _started_otherwise(comparison: Comparison, model: str, than: str, holding: tuple[str, ...]) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrotwin.models.language.provenance import made_from, told_since
+from hydrotwin.models.language.provenance import made_from_rows, told_since
 from hydrotwin.records import all_unbroken, cuts, turned_back
 from hydrotwin.records.between import shown_otherwise
 from hydrotwin.records.sizes import far_from_usual, made_by_few
@@ -131,15 +131,14 @@ def seen_before(comparison: Comparison) -> list[str]:
     """Recordings that a model was fitted to or trained on: how good it is on those says little."""
     found = []
     for entrant in comparison.entrants:
-        known = made_from(entrant.provenance)
-        seen = [r.name for r in comparison.records if comparison.hashes(r) & known]
+        rows = made_from_rows(entrant.provenance)
+        seen = [r.name for r in comparison.records if comparison.follows(r, rows)]
         if seen:
             found.append(
                 f"{entrant.name} was made from {', '.join(seen)}: its errors there say nothing of other recordings. "
                 "Judge it on one that it has not seen."
             )
-    trained = {r.digest for r in comparison.train_records if r.digest}
-    if both := [r.name for r in comparison.records if comparison.hashes(r) & trained]:
+    if both := [r.name for r in comparison.records if comparison.follows(r, comparison.train_rows)]:
         found.append(
             f"Named as what the models were made from, too: {some_of(both)}. Errors there say nothing of other "
             "recordings. Judge on ones that no model has seen."

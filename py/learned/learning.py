@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record, all_unbroken, as_needed, cuts
+from hydrotwin.records import Record, all_unbroken, as_needed, cuts, shares_samples
 from hydrotwin.simulation import Block, simulate
 
 from . import held_out
@@ -177,9 +177,8 @@ def check_judges(validate: Sequence[Record], records: Sequence[Record], inputs, 
 
 
 def check_select(kind: str, records: Sequence[Record], select: Sequence[Record] | None) -> None:
-    """Raises DeclarationError for a recording, by its hash, that is both trained on and to choose."""
-    trained = {r.digest for r in records} - {None, ""}
-    twice = [r.name for r in select or () if r.digest in trained]
+    """Raises DeclarationError for a recording that is both trained on and to choose."""
+    twice = [one.name for one in select or () if any(shares_samples(one, r) for r in records)]
     if twice:
         raise DeclarationError(
             f"learn {kind}: {', '.join(twice)} is trained on: choosing on it, too, says nothing of others. Give "
@@ -203,9 +202,15 @@ def unbroken_for(records: Sequence[Record], inputs, outputs, model=None) -> list
     """
     flat = getattr(model, "flat", model)
     known = (*inputs, *outputs) if model is None else (*flat.inputs, *flat.outputs)
-    records = [as_needed(r, [s for s in known if isinstance(s, Signal)]) for r in records]
+    records = [as_needed(_with_only(r, known), [s for s in known if isinstance(s, Signal)]) for r in records]
     named = _names(model, records, inputs, outputs)
     return all_unbroken(records, [name for names in named for name in names])
+
+
+def _with_only(record: Record, known: Sequence[Signal | str]) -> Record:
+    """The recording with the columns that count: by those it is known again."""
+    names = {getattr(s, "name", s) for s in known}
+    return record.select([n for n in record.signals if n in names])
 
 
 def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str], list[str]]:

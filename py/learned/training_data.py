@@ -9,7 +9,8 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record, noise_floor, require
+from hydrotwin.models.language.provenance import SAMPLES
+from hydrotwin.records import Record, noise_floor, require, row_of
 from hydrotwin.simulation.block import ON_THE_EDGE, Block, TrainingDomain
 
 RESOLUTION = 2e-3  # of a signal's range: what linear interpolation at the chosen period may lose
@@ -203,8 +204,8 @@ def increment_spread(runs: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def named(records: Sequence[Record]) -> list[dict]:
-    """Recordings by name, digest and length, for the provenance."""
-    return [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in records]
+    """Recordings by name, digest, length and marks, for the provenance."""
+    return [{**row_of(r), "sha256": r.digest, SAMPLES: len(r)} for r in records]
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from .files import SUFFIXES, WRITTEN, read_record, write_record
 from .filters import one_euro, savitzky_golay
+from .marks import follows, row_of
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
 from .record import EXACT, Gap, Record, Whole, distinct, gaps_of
@@ -26,6 +27,7 @@ __all__ = [
     "copies",
     "cuts",
     "distinct",
+    "follows",
     "gaps_of",
     "import_from",
     "import_text",
@@ -38,6 +40,7 @@ __all__ = [
     "reading_of",
     "require",
     "require_once",
+    "row_of",
     "savitzky_golay",
     "shares_samples",
     "steps_over",

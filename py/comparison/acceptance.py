@@ -219,9 +219,12 @@ def _started_otherwise(comparison: Comparison, model: str, than: str, holding: t
 
 
 def _started_untold(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
-    """That the judged model has something told of where it starts, in a sentence."""
-    noted = dict.fromkeys(s.of for s in comparison.starts if s.model == model and s.of in holding and s.estimate.note)
-    return (f"On {some_of(tuple(noted))} {model} starts as without an estimate.",) if noted else ()
+    """Why the judged model starts as without an estimate, in a sentence for each reason."""
+    noted: dict[str, list[str]] = {}
+    for s in comparison.starts:
+        if s.model == model and s.of in holding and s.estimate.note:
+            noted.setdefault(s.estimate.note.partition(". ")[0].rstrip("."), []).append(s.of)
+    return tuple(f"On {some_of(of)} {model} starts as without an estimate: {why}." for why, of in noted.items())
 
 
 def _made_by_few(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> list[str]:

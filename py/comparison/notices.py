@@ -24,7 +24,13 @@ if TYPE_CHECKING:
 
 def notices(comparison: Comparison) -> tuple[str, ...]:
     """All of them: what a model was made from, what failed, what cannot be believed, what recordings lack."""
-    first = _made(comparison) + _inaccurate(comparison) + _failures(comparison) + _unlikely(comparison)
+    first = (
+        _made(comparison)
+        + _started(comparison)
+        + _inaccurate(comparison)
+        + _failures(comparison)
+        + _unlikely(comparison)
+    )
     found = _sizes(comparison) + _cut(comparison) + _turned(comparison) + _holes(comparison) + _uneven(comparison)
     return tuple(first + found + _slower(comparison))
 
@@ -43,6 +49,11 @@ def starts_told(starts: Sequence[Started]) -> list[str]:
         alike.setdefault(one.noted("") if one.estimate.note else str(one), []).append(one)
     noted = [(some[0], some_of([s.estimate.record for s in some])) for some in alike.values()]
     return [one.noted(where) if one.estimate.note else str(one) for one, where in noted]
+
+
+def _started(comparison: Comparison) -> list[str]:
+    """Models that start where nobody says they do, and why."""
+    return [f"{told.rstrip('.')}." for told in starts_told([s for s in comparison.starts if s.estimate.note])]
 
 
 def _sizes(comparison: Comparison) -> list[str]:

@@ -167,6 +167,10 @@ class FmuBlock:
         """What this FMU can be asked: one step only where every state can be set at the start."""
         return ("free run", "one step") if self.description.restarts else ("free run",)
 
+    def states_set(self, record: Record) -> list[str]:
+        """Starts that a measured output of ``record`` sets, one step ahead."""
+        return [p for p, o in self.starts.items() if o in record.signals and np.isfinite(record[o]).any()]
+
     def one_step(self, record: Record) -> Record:
         """Outputs at ``record.time``, each from a restart at the measurement one sample before.
 

@@ -191,7 +191,10 @@ def compare(
             require_inputs(matrix.base)
             if junit_file is not None:  # all missed: a server shall not read those of an earlier run
                 write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
-            raise SolveError(f"compare: no model could be scored. {matrix.base.failures[0].sentence}")
+            why = [f.sentence for f in matrix.base.failures] or [
+                f"{u.model}: {u.reason}." for u in matrix.base.unscored
+            ]
+            raise SolveError(f"compare: no model could be scored. {why[0]}")
         tell_replaced(described.wanted.earlier, output / "compare.json")
         if _state(output / "compare.json") != before:
             told = "another run has written its report there while this one ran, and this one replaces it"

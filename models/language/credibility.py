@@ -27,6 +27,7 @@ FORMAT = 1  # of the block; goes up where keys change their meaning or go
 KEY = "credibility"  # of the block in a model file
 IDENTIFY, GAP, COMPARE, LEARN = "identify", "gap", "compare", "learn"
 MADE_BY = (IDENTIFY, GAP, COMPARE, LEARN)
+UNKNOWN = "unknown"  # in facts: samples of outputs that nobody knows, in words, where a comparison was
 FIT, JUDGE = "fit", "judge"  # roles of a recording: values follow it, or it had no part in them
 SHOWN = 3  # criteria that a sentence names
 NEXT = "Take the block [credibility] out, or fit or record the model again."
@@ -90,9 +91,11 @@ class Evidence:
             words = [f"“{row['text']}”{_aside(row)}" for row in rows[:SHOWN]]
             more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
             return f"{'FAIL' if missed else 'PASS'}, {'missed' if missed else 'held'}: {'; '.join(words)}{more}"
+        lost = "; ".join(map(str, _listed(self.facts.get(UNKNOWN))))
+        lost = f"; not judged: {lost}, not known" if lost else ""
         judged = sorted(self.metrics, key=lambda m: m["role"] != JUDGE)
         rows = [f"{m['output']} RMSE {m['rmse']:.4g} {m['unit']} ({m['role']})" for m in judged if "rmse" in m]
-        return "no criteria" + (f"; {'; '.join(rows[:4])}" if rows else "")
+        return "no criteria" + (f"; {'; '.join(rows[:4])}" if rows else "") + lost
 
     def same_question(self, other: Evidence) -> bool:
         """Whether it judged the same on the same recordings in the same way: the later one replaces the earlier.

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydrotwin.models.language.credibility import COMPARE, FIT, JUDGE, Credibility, Evidence, now, versions
+from hydrotwin.models.language.credibility import COMPARE, FIT, JUDGE, UNKNOWN, Credibility, Evidence, now, versions
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import ModelFile, add_evidence, read_model_file
 from hydrotwin.models.language.provenance import OTHERS, SINCE, made_from_rows
@@ -18,6 +18,7 @@ from hydrotwin.records.reading import beside, reading_told
 
 from .acceptance import Acceptance
 from .comparison import Comparison, Entrant, Score
+from .elsewhere import unknown_of
 
 KEPT = ("rmse", "mae", "maximum", "fit_percent", "bias", "r2", "coverage")  # metrics that stay in a model file
 CLOSE = 1e-9  # relative: values are the same number, read in one unit or another
@@ -107,6 +108,7 @@ def _evidence(
         else "measured",
         "asked": {**comparison.asked, **asked},
         "untrusted_bands": _untrusted(comparison, name),
+        UNKNOWN: _unknown(comparison),
         "failures": [f"{f.record}, {f.mode}: {f.sentence}" for f in comparison.failures if f.model == name],
     }
     return Evidence(
@@ -139,6 +141,12 @@ def _way(path: Path, folder: Path) -> str:
 def fitted_recordings(file: ModelFile) -> list[dict]:
     """By what the recordings are known that the values of a file follow, as far as it says."""
     return [*file.credibility.fitted_on, *made_from_rows(file.provenance)]
+
+
+def _unknown(comparison: Comparison) -> list[str]:
+    """Scored outputs of which samples are not known, and how many."""
+    lost = {s.name: unknown_of([r for r in comparison.records if s.name in r], s.name) for s in comparison.outputs}
+    return [f"{name} on {words}" for name, words in lost.items() if words]
 
 
 def _untrusted(comparison: Comparison, name: str) -> list[str]:

@@ -188,3 +188,14 @@ def test_of_equations_that_were_edited_under_the_values_of_a_fit_no_band_is_told
     old = values.read_text(encoding="utf-8")
     values.write_text(re.sub(r"(?m)^equations = .*\n", "", old), encoding="utf-8")
     assert ht.load(model).provenance["spread"], "a file of before goes by what it says"
+
+
+def test_the_record_of_a_comparison_without_criteria_says_which_samples_nobody_knows(folder, tmp_path):
+    values = tmp_path / "m.toml"
+    values.write_bytes((folder / "m.toml").read_bytes())
+    record = ht.read_record(folder / "run.csv")
+    silent = record.with_signals({"position": np.where(record.time > 1.5, np.nan, record["position"])})
+    model = ht.load(f"{folder}/rig.py:slide@{values}")
+    found = ht.compare([model], [silent], modes=["free run"], outputs=["position"], repeats=0)
+    told = ht.record_comparison(values, found).evidence[-1].told
+    assert "no criteria" in told and "not judged: position on 49 of 200 samples of run, not known" in told

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -19,7 +19,7 @@ from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst
 from .earlier import earlier
-from .elsewhere import holes_of, unknown_of
+from .elsewhere import holes_of, slower, unknown_of
 from .metric import AGAIN, METRICS, OF_OUTPUT, SCORED
 from .rating import INNER
 from .sentence import other_of
@@ -158,6 +158,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
             *_started_untold(comparison, model, holding),
             *_made_by_few(comparison, model, about, holding),
             *_unjudged(comparison, model, about),
+            *_of_run(comparison, model, about, holding),
             *_repeats(values.rows(model).values(), about, holding),
         ),
     )
@@ -262,6 +263,22 @@ def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) ->
 def _doubt(comparison: Comparison, model: str, output: str) -> str:
     """Why the band of an output of a model cannot be trusted, in free run; "" where it can."""
     return next((b.why for b in _bands(comparison, model, output) if b.trusted is False), "")
+
+
+def _of_run(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> Iterator[str]:
+    """What is to be known of the runs that count, in sentences: how accurate they are, and what they leave."""
+    if rough := dict.fromkeys(r.record for r in comparison.inaccurate if r.model == model and r.record in holding):
+        yield f"The numbers of {model} on {some_of(tuple(rough))} are not those of its equations"
+    far = [d for d in comparison.domains if d.model == model and d.record in holding and d.extrapolates]
+    if far:
+        yield f"{model} extrapolates on {some_of([d.record for d in far])}, out of what it was trained on"
+    slow = [r.name for r in comparison.records if r.name in holding and slower(r, about.output)]
+    if comparison.modes[0] != FREE_RUN and slow:
+        yield f"{about.output} of {some_of(slow)} has no value in the row before, so that this is its free run"
+    judged = {id(r) for r in comparison.records if r.name in holding}
+    pairs = [(a.name, b.name) for a, b in comparison.copies if {id(a), id(b)} <= judged]
+    if pairs and about.metric != "max":
+        yield f"{some_of([f'{b} is {a}' for a, b in pairs])}, and counts twice"
 
 
 def _unjudged(comparison: Comparison, model: str, about: Criterion) -> list[str]:

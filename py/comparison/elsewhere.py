@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from hydrotwin.records import Record, unbroken
 from hydrotwin.records.unbroken import unknown_stretches
 
@@ -41,6 +43,12 @@ def unknown_of(records: Sequence[Record], output: str) -> str:
     of its own raster, or nothing was run there, for which a comparison leaves it unknown (`run.measured_in`)."""
     lost = [(r, int(unknown_stretches(r.time, r[output]).sum())) for r in records]
     return some_of([f"{count} of {len(r)} samples of {r.name}" for r, count in lost if count])
+
+
+def slower(record: Record, name: str) -> bool:
+    """Whether a column has a raster of its own, so that it is not known in the row before: nothing sets it there."""
+    known = np.flatnonzero(np.isfinite(record[name])) if name in record.signals else ()
+    return len(known) > 1 and bool(np.median(np.diff(known)) > 1)
 
 
 def input_names(models: Iterable) -> tuple[str, ...]:

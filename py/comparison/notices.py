@@ -14,7 +14,7 @@ from hydrotwin.records.sizes import far_from_usual, made_by_few
 
 from .comparison import FREE_RUN, ONE_STEP
 from .criteria import some_of
-from .elsewhere import input_names
+from .elsewhere import input_names, slower
 from .uneven import uneven
 
 if TYPE_CHECKING:
@@ -200,8 +200,7 @@ def _slower(comparison: Comparison) -> list[str]:
     """Outputs that are not known in the row before: one step ahead nothing is taken from them."""
     slow: dict[str, list[str]] = {}
     for record in comparison.records if ONE_STEP in comparison.modes else ():
-        known = {s.name: np.flatnonzero(np.isfinite(record[s.name])) for s in comparison.outputs if s.name in record}
-        for name in (name for name, at in known.items() if len(at) > 1 and np.median(np.diff(at)) > 1):
+        for name in (s.name for s in comparison.outputs if slower(record, s.name)):
             slow.setdefault(name, []).append(record.name)
     return [
         f"{name} of {some_of(records)} has no value in the row before: one step ahead its state is as in the free run."

@@ -33,7 +33,7 @@ from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .state_network.learn import learn_state_network
 from .substeps_step import STEPS as SUBSTEPS
 from .symbolic.learn import learn_symbolic
-from .training_data import MANY
+from .training_data import MANY, with_marks
 from .validation import judges, validated
 
 KINDS: Mapping[str, Callable] = {
@@ -139,8 +139,10 @@ def trained(
 
     def on(some: Sequence[Record]) -> Block:
         if kind == "hybrid":
-            return train(model, some, list(outputs) or None, **options)
-        return train(some, inputs, outputs, **options)
+            block = train(model, some, list(outputs) or None, **options)
+        else:
+            block = train(some, inputs, outputs, **options)
+        return with_marks(block, [*some, *(options.get("select") or ())])
 
     try:
         return on(split.fit), split
@@ -202,15 +204,9 @@ def unbroken_for(records: Sequence[Record], inputs, outputs, model=None) -> list
     """
     flat = getattr(model, "flat", model)
     known = (*inputs, *outputs) if model is None else (*flat.inputs, *flat.outputs)
-    records = [as_needed(_with_only(r, known), [s for s in known if isinstance(s, Signal)]) for r in records]
+    records = [as_needed(r, [s for s in known if isinstance(s, Signal)]) for r in records]
     named = _names(model, records, inputs, outputs)
     return all_unbroken(records, [name for names in named for name in names])
-
-
-def _with_only(record: Record, known: Sequence[Signal | str]) -> Record:
-    """The recording with the columns that count: by those it is known again."""
-    names = {getattr(s, "name", s) for s in known}
-    return record.select([n for n in record.signals if n in names])
 
 
 def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str], list[str]]:

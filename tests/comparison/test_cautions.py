@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from hydrotwin.comparison import Wanted, acceptance, compare, junit
+from hydrotwin.comparison.comparison import DomainShare, Inaccurate
 from hydrotwin.comparison.notices import notices
 from hydrotwin.records import Record
 from hydrotwin.records.sizes import made_by_few
@@ -125,3 +126,23 @@ def test_a_bound_that_the_metric_cannot_pass_is_none():
     assert ranged.criterion.output == plain.criterion.output == "pressure_cap"
     assert ranged.margin == plain.margin and ranged.caution == plain.caution != ""
     assert np.isclose(error.margin, 1 - error.value) and np.isclose(share.margin, share.value / 0.9 - 1)
+
+
+def test_what_is_known_of_the_runs_stands_in_the_criterion_too():
+    """Inaccurate runs, a training that is left, a sensor that sets nothing, a recording in two files: notices alone."""
+    record = recording(1)
+    slow = record.with_signals({"arm_angle": np.where(np.arange(len(record)) % 4 == 0, record["arm_angle"], np.nan)})
+    again = dataclasses.replace(recording(1, name="again"), digest="2")
+    asked = Wanted(("arm_angle.rmse < 9 deg", "motor_speed.max < 900 rpm"))
+    ahead = compare([Toy("good")], [slow], repeats=0, modes=("one step", "free run"))
+    assert "so that this is its free run" in acceptance(ahead, asked).judged[0].caution
+    twice = compare([Toy("good")], [record, again], repeats=0, modes=("free run",))
+    mean, largest = acceptance(twice, asked).judged
+    assert "again is validation_1, and counts twice" in mean.caution and not largest.caution
+    told = dataclasses.replace(
+        compare([Toy("good")], [record], repeats=0, modes=("free run",)),
+        inaccurate=(Inaccurate("good", record.name, "off"),),
+        domains=(DomainShare("good", record.name, 70.0, 0.5, ("command",), "model"),),
+    )
+    (one, _) = acceptance(told, asked).judged
+    assert "are not those of its equations" in one.caution and "good extrapolates on validation_1" in one.caution

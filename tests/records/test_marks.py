@@ -11,6 +11,7 @@ import pytest
 from hydrotwin.comparison import Wanted, acceptance, compare
 from hydrotwin.comparison.notices import seen_before
 from hydrotwin.models.language.credibility import FIT, LEARN, Credibility, Evidence, with_made_from
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.provenance import MARKED, made_from_rows
 from hydrotwin.records import Record, follows, read_record, row_of, write_record
 from tests.comparison.toys import Toy, recording
@@ -145,3 +146,34 @@ def test_marks_go_along_with_what_a_model_was_made_from():
     old = (({"name": SEEN.name, "sha256": SEEN.digest, "role": FIT}),)
     new, before = (Evidence(LEARN, "", "", {}, some) for some in (rows, old))
     assert new.same_question(before) and len(Credibility((before,)).plus(new).evidence) == 1
+
+
+def test_one_recording_in_two_files_counts_once_in_a_fit_and_does_not_judge_it(tmp_path):
+    """A copy of other bytes had counted twice, and had judged what was fitted to it."""
+    from hydrotwin.identification import identify
+    from hydrotwin.records import require_once
+    from tests.identification.drive import drive, recorded
+
+    one = write_record(SEEN, tmp_path / "one.csv")
+    (tmp_path / "two.csv").write_bytes(one.read_bytes().replace(b"\n", b"\r\n"))
+    both = [read_record(tmp_path / name) for name in ("one.csv", "two.csv")]
+    require_once(both)
+    with pytest.raises(DataError, match=r"two\.csv: the same recording as .*one\.csv"):
+        require_once(both, samples=True)
+    run = recorded(drive(), 1, noise={"position": 1e-3})
+    with pytest.raises(DataError, match="Only an unseen recording can judge"):
+        identify(drive(), [run], validate=[dataclasses.replace(run, name="copy", digest="2")])
+
+
+def test_a_learned_block_is_marked_by_the_columns_that_it_is_about(tmp_path):
+    """Of a log of many channels the ones that move most had been marked, and a file without them was another."""
+    from hydrotwin.learned import learn, read_block, write_block
+
+    random = np.random.default_rng(3)
+    channels = {f"channel_{k}": random.standard_normal(len(SEEN)) for k in range(12)}
+    log = SEEN.with_signals(channels, dict.fromkeys(channels, "1"))
+    block = learn("arx", [log], ["command"], ["arm_angle"])
+    write_block(block, tmp_path / "arx.toml")
+    rows = made_from_rows(read_block(tmp_path / "arx.toml").provenance)
+    assert {name for row in rows for name in row[MARKED]} == {"command", "arm_angle"}
+    assert follows(rows, dataclasses.replace(SEEN.select(["command", "arm_angle"]), digest="2"))

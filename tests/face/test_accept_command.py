@@ -22,10 +22,10 @@ def test_a_server_does_not_read_an_old_pass_where_no_model_could_run(recordings,
     assert answer.code == 1 and "no model could be scored" in answer.said
     (case,) = ElementTree.parse(file).getroot()[0].iter("testcase")
     assert case.get("name") == TOO_TIGHT and "could not be integrated" in case.find("failure").text
-    assert "of an earlier one" not in answer.said
+    assert "of an earlier run" not in answer.said
     assert hydrotwin(*words[:-2], "--out", tmp_path / "out").code == 0
     answer = hydrotwin(*words, "--out", tmp_path / "out", "--scale", "command=1e6")
-    assert answer.code == 1 and "that of an earlier one is in" in answer.said
+    assert answer.code == 1 and "The report of an earlier run is in" in answer.said
 
 
 def test_a_run_that_ends_without_a_verdict_leaves_none_of_an_earlier_one(recordings, tmp_path):
@@ -44,7 +44,7 @@ def test_a_run_that_ends_without_a_verdict_leaves_none_of_an_earlier_one(recordi
     ):
         answer = hydrotwin(*words, *way, "--junit", file)
         assert answer.code == 2 and not file.exists()
-        assert not (tmp_path / "out" / "compare.json").exists() and "that of an earlier one is in" in answer.said
+        assert not (tmp_path / "out" / "compare.json").exists() and "The report of an earlier run is in" in answer.said
         aside = tmp_path / "out" / "earlier_answer"
         assert {p.name: p.read_bytes() for p in aside.iterdir() if p.name in before} == before  # nothing is lost
     against = ("--against", tmp_path / "out" / "compare.json")  # what was put aside is still the reference

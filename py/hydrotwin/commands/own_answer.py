@@ -12,7 +12,7 @@ import contextlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from .shared import err, mark
+from hydrotwin.models.language.errors import HydrotwinError
 
 ANSWER = ("compare.json", "report.html", "report.md")
 
@@ -31,13 +31,15 @@ def own_answer(folder: Path, *files: Path | None) -> Iterator[None]:
             file.unlink(missing_ok=True)
     try:
         yield
+    except HydrotwinError as error:
+        if not (aside / ANSWER[0]).exists():
+            raise
+        raise type(error)(f"{error} The report of an earlier run is in {aside}.") from error
     finally:
         if (folder / ANSWER[0]).exists():
             forget_others(aside)
             with contextlib.suppress(OSError):  # there is more in it, or it is not there
                 aside.rmdir()
-        elif (aside / ANSWER[0]).exists():
-            mark(err, "note", f"this run has left no report in {folder}; that of an earlier one is in {aside}.")
 
 
 def _put_aside(folder: Path) -> Path:

@@ -176,7 +176,8 @@ def write_model_file(
     if inputs:
         text += "\n" + tomlkit.dumps({"inputs": inputs})
     if provenance:
-        provenance = {**provenance, EQUATIONS: equations_digest(flat)}
+        known = equations_digest(flat) or provenance.get(EQUATIONS, "")
+        provenance = {**provenance, **({EQUATIONS: known} if known else {})}
         text += "\n" + tomlkit.dumps({"provenance": toml_values(provenance)})
     write_whole(path, _vouched(text, evidence) if evidence else text)
     return path

@@ -82,7 +82,8 @@ def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
     from hydrotwin.identification.bands import Spread
     from hydrotwin.identification.evidence import names_of
     from hydrotwin.models.language.credibility import recording_rows
-    from hydrotwin.models.language.provenance import SPREAD, TRAIN, of_earlier_fits
+    from hydrotwin.models.language.equations import equations_digest
+    from hydrotwin.models.language.provenance import EQUATIONS, SPREAD, TRAIN, of_earlier_fits
     from hydrotwin.records import row_of
 
     names = names_of(found.model.flat)
@@ -102,6 +103,7 @@ def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
         "noise": dict(found.noise),
         "rmse": {role: {o.output: o.rmse_after for o in rows} for role, rows in found.outputs.items()},
         "findings": [str(f) for f in found.findings],
+        EQUATIONS: equations_digest(found.model.flat),
         **({SPREAD: Spread.of(found.fit_after).told()} if fitted else {}),
     }
 

@@ -384,32 +384,8 @@ def test_what_is_taken_of_a_doubted_band_passes_nothing_and_others_say_that_it_i
     first = acceptance_data(accepted)["acceptance"]["criteria"][0]
     assert first["undefined"] in row and first["undefined"] == why and not first["caution"]
     assert first["doubt"] == "it is too narrow." and not first["passed"]
-    assert f"FAIL: good misses 1 of 3 criteria: “{asked.accept[0]}”: {why}" in row_of(files["markdown"], "FAIL")
-
-
-def row_of(file, start: str) -> str:
-    return next(r for r in file.read_text(encoding="utf-8").splitlines() if start in r)
-
-
-def test_a_band_that_does_not_hold_is_no_measure_for_another():
-    good, other = MODELS["good"], Toy("other")
-    comparison = compare([good, other], [recording(1)], repeats=0, modes=("free run",))
-    bands = [Band("arm_angle", "own", trusted, "it is too narrow.") for trusted in (True, False)]
-    entrants = tuple(dataclasses.replace(e, bands=(b,)) for e, b in zip(comparison.entrants, bands, strict=True))
-    scores = tuple(dataclasses.replace(s, vv20=2.0) for s in comparison.scores)
-    known = dataclasses.replace(comparison, entrants=entrants, scores=scores)
-    (one,) = acceptance(known, Wanted(("arm_angle.vv20 not worse than other",))).judged
-    assert not one.passed and one.undefined.startswith("other is no measure, its band cannot be trusted")
-
-
-def test_a_band_that_nothing_was_held_against_is_told_where_it_counts():
-    comparison = compare([MODELS["good"]], [recording(1)], repeats=0, modes=("free run",))
-    bands = (Band("arm_angle", "own", None, "it was judged on nothing that was held out"),)
-    scores = tuple(dataclasses.replace(s, vv20=0.5) for s in comparison.scores)
-    entrants = (dataclasses.replace(comparison.entrants[0], bands=bands),)
-    known = dataclasses.replace(comparison, entrants=entrants, scores=scores)
-    band, other = acceptance(known, Wanted(("arm_angle.vv20 < 2", "arm_angle.rmse < 9 deg"))).judged
-    assert band.passed and "it was judged on nothing that was held out" in band.caution and not other.caution
+    said = f"FAIL: good misses 1 of 3 criteria: “{asked.accept[0]}”: {why}"
+    assert said in files["markdown"].read_text(encoding="utf-8")
 
 
 def test_a_criterion_says_that_it_was_judged_in_parts_around_a_hole():

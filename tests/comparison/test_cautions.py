@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 
 from hydrotwin.comparison import Wanted, acceptance, compare, junit
+from hydrotwin.comparison.band import Band
 from hydrotwin.comparison.comparison import DomainShare, Inaccurate
 from hydrotwin.comparison.notices import notices
 from hydrotwin.records import Record
@@ -146,3 +147,24 @@ def test_what_is_known_of_the_runs_stands_in_the_criterion_too():
     )
     (one, _) = acceptance(told, asked).judged
     assert "are not those of its equations" in one.caution and "good extrapolates on validation_1" in one.caution
+
+
+def test_a_band_that_does_not_hold_is_no_measure_for_another():
+    good, other = Toy("good"), Toy("other")
+    comparison = compare([good, other], [recording(1)], repeats=0, modes=("free run",))
+    bands = [Band("arm_angle", "own", trusted, "it is too narrow.") for trusted in (True, False)]
+    entrants = tuple(dataclasses.replace(e, bands=(b,)) for e, b in zip(comparison.entrants, bands, strict=True))
+    scores = tuple(dataclasses.replace(s, vv20=2.0) for s in comparison.scores)
+    known = dataclasses.replace(comparison, entrants=entrants, scores=scores)
+    (one,) = acceptance(known, Wanted(("arm_angle.vv20 not worse than other",))).judged
+    assert not one.passed and one.undefined.startswith("other is no measure, its band cannot be trusted")
+
+
+def test_a_band_that_nothing_was_held_against_is_told_where_it_counts():
+    comparison = compare([Toy("good")], [recording(1)], repeats=0, modes=("free run",))
+    bands = (Band("arm_angle", "own", None, "it was judged on nothing that was held out"),)
+    scores = tuple(dataclasses.replace(s, vv20=0.5) for s in comparison.scores)
+    entrants = (dataclasses.replace(comparison.entrants[0], bands=bands),)
+    known = dataclasses.replace(comparison, entrants=entrants, scores=scores)
+    band, other = acceptance(known, Wanted(("arm_angle.vv20 < 2", "arm_angle.rmse < 9 deg"))).judged
+    assert band.passed and "it was judged on nothing that was held out" in band.caution and not other.caution

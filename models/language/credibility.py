@@ -20,17 +20,19 @@ from importlib.metadata import PackageNotFoundError, version
 import tomlkit
 
 from .errors import DataError
-from .provenance import MADE_FROM, SINCE, made_from_rows
+from .provenance import MADE_FROM, MARKED, SAMPLES, SINCE, known_by, made_from_rows
 from .writing import toml_values
 
 FORMAT = 1  # of the block; goes up where keys change their meaning or go
 KEY = "credibility"  # of the block in a model file
 IDENTIFY, GAP, COMPARE, LEARN = "identify", "gap", "compare", "learn"
 MADE_BY = (IDENTIFY, GAP, COMPARE, LEARN)
+UNKNOWN = "unknown"  # in facts: samples of outputs that nobody knows, in words, where a comparison was
 FIT, JUDGE = "fit", "judge"  # roles of a recording: values follow it, or it had no part in them
 SHOWN = 3  # criteria that a sentence names
 NEXT = "Take the block [credibility] out, or fit or record the model again."
 _ACTING = ("model", "effects", "inputs")  # of a model file: what its runs depend on, beside values and their spread
+_NOT_ASKED = ("file", SAMPLES, MARKED)  # of a recording: where it was, and by what it is known again
 _TEXTS = ("by", "date", "contents")
 _ROWS: Mapping[str, tuple[str, ...]] = {
     "recordings": ("name", "sha256", "role"),
@@ -89,9 +91,11 @@ class Evidence:
             words = [f"“{row['text']}”{_aside(row)}" for row in rows[:SHOWN]]
             more = f" and {len(rows) - SHOWN} more" if len(rows) > SHOWN else ""
             return f"{'FAIL' if missed else 'PASS'}, {'missed' if missed else 'held'}: {'; '.join(words)}{more}"
+        lost = "; ".join(map(str, _listed(self.facts.get(UNKNOWN))))
+        lost = f"; not judged: {lost}, not known" if lost else ""
         judged = sorted(self.metrics, key=lambda m: m["role"] != JUDGE)
         rows = [f"{m['output']} RMSE {m['rmse']:.4g} {m['unit']} ({m['role']})" for m in judged if "rmse" in m]
-        return "no criteria" + (f"; {'; '.join(rows[:4])}" if rows else "")
+        return "no criteria" + (f"; {'; '.join(rows[:4])}" if rows else "") + lost
 
     def same_question(self, other: Evidence) -> bool:
         """Whether it judged the same on the same recordings in the same way: the later one replaces the earlier.
@@ -103,7 +107,8 @@ class Evidence:
 
     @property
     def _question(self) -> tuple:
-        on = frozenset(_digest(toml_values({k: v for k, v in r.items() if k != "file"})) for r in self.recordings)
+        rows = [{key: value for key, value in row.items() if key not in _NOT_ASKED} for row in self.recordings]
+        on = frozenset(_digest(toml_values(row)) for row in rows)
         asked = self.facts.get("asked")
         how = dict(asked) if isinstance(asked, Mapping) else {}
         how |= {"modes": _listed(how.get("modes"))[:1]}  # the first is the one that criteria are about
@@ -134,10 +139,9 @@ class Credibility:
         return Credibility((*(one for one in self.evidence if not one.same_question(new)), new))
 
     @property
-    def fitted_on(self) -> frozenset[str]:
-        """SHA-256 of the recordings that values follow."""
-        rows = [row for one in self.evidence for row in one.recordings]
-        return frozenset(row["sha256"] for row in rows if row["role"] == FIT and row["sha256"])
+    def fitted_on(self) -> tuple[dict, ...]:
+        """Rows of the recordings that values follow: name, SHA-256, and marks where they have them."""
+        return tuple(known_by(row) for one in self.evidence for row in one.recordings if row["role"] == FIT)
 
     def as_data(self) -> dict:
         """As data for TOML and JSON."""
@@ -249,8 +253,8 @@ def with_made_from(known: Credibility | None, provenance: Mapping) -> Credibilit
     """What vouches for a model, with the recordings that its values follow as its provenance says, where no evidence
     names them: of values that were edited or set, or that no file holds."""
     own = known or Credibility()
-    named = {r["name"] for one in own.evidence for r in one.recordings if r["role"] == FIT and not r["sha256"]}
-    rows = [r for r in made_from_rows(provenance) if (r["sha256"] or r["name"]) not in own.fitted_on | named]
+    named = {r["sha256"] or r["name"] for r in own.fitted_on}
+    rows = [r for r in made_from_rows(provenance) if (r["sha256"] or r["name"]) not in named]
     if not rows:
         return known
     by = LEARN if any(provenance.get(key) for key in MADE_FROM) else IDENTIFY

@@ -17,10 +17,11 @@ import tomlkit
 
 from .additions import Addition
 from .credibility import KEY, Credibility, Evidence, contents_digest, from_data
+from .equations import equations_digest
 from .errors import DataError, nearest
 from .flat import FlatModel, ParameterValue, Signal
 from .parameter_file import parameter_settings, read_toml
-from .provenance import EDITED, SINCE, lasting
+from .provenance import EDITED, EQUATIONS, SINCE, lasting
 from .writing import toml_values, write_whole
 
 FORMAT = 1
@@ -175,6 +176,8 @@ def write_model_file(
     if inputs:
         text += "\n" + tomlkit.dumps({"inputs": inputs})
     if provenance:
+        known = equations_digest(flat) or provenance.get(EQUATIONS, "")
+        provenance = {**provenance, **({EQUATIONS: known} if known else {})}
         text += "\n" + tomlkit.dumps({"provenance": toml_values(provenance)})
     write_whole(path, _vouched(text, evidence) if evidence else text)
     return path

@@ -17,9 +17,12 @@ EARLIER = {"fit": "earlier"}  # in a row, of a fit that found other values than 
 TRAIN = "train"  # the role of those that values follow
 SPREAD = "spread"  # how sure a fit is: `identification.bands.Spread`
 BAND, CARD = "band", "free_run"  # of a learned block: found in its training, and judged in `report_card`
+EQUATIONS = "equations"  # hash of those that the values were fitted to
+OTHERS = "its equations are others than its values were fitted to"
 EDITED = "values, effects or inputs of its file edited"
 SINCE = "since the fit"  # what was changed since, in words, one by one
 MADE_FROM = ("trained_on", "selected_on", "physics_trained_on")  # rows with name and sha256
+SAMPLES, MARKED = "samples", "marks"  # in a row: how many, and by what they are known again: `records.marks`
 ASKED = "asked"  # how a fit was asked: its settings
 JOINED = (SPREAD, BAND, CARD)  # what bands are made of
 OF_FIT = (*JOINED, "chi2_per_sample", "noise", "rmse", "accuracy", "findings", "verdict", "effects", ASKED)
@@ -65,13 +68,19 @@ def told_since(provenance: Mapping) -> str:
     )
 
 
-def made_from_rows(provenance: Mapping) -> list[dict[str, str]]:
-    """Name and SHA-256 ("" where it is not known) of the recordings that a model was fitted to, or a block trained on
-    or chosen by, as far as its provenance says it."""
+def made_from_rows(provenance: Mapping) -> list[dict]:
+    """Name, SHA-256 ("" where it is not known) and marks, where it has them, of the recordings that a model was fitted
+    to, or a block trained on or chosen by, as far as its provenance says it."""
     own = [r for r in _rows(provenance, RECORDINGS) if r.get("role") == TRAIN]
     rows = [*own, *(r for key in MADE_FROM for r in _rows(provenance, key))]
-    found = [{"name": str(r.get("name", "")), "sha256": str(r.get("sha256") or "")} for r in rows]
+    found = [known_by(r) for r in rows]
     return [row for k, row in enumerate(found) if row not in found[:k]]
+
+
+def known_by(row: Mapping) -> dict:
+    """Of a row what tells which recording it is of, whatever it was used for."""
+    marks = {key: row[key] for key in (SAMPLES, MARKED)} if {SAMPLES, MARKED} <= row.keys() else {}
+    return {"name": str(row.get("name", "")), "sha256": str(row.get("sha256") or "")} | marks
 
 
 def made_from(provenance: Mapping) -> frozenset[str]:

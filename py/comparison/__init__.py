@@ -21,7 +21,7 @@ from .comparison import (
 from .contender import BlockContender, Contender, HoldLast, PhysicalContender, as_contender
 from .criteria import Criterion, Judged, judge, worst
 from .domain import domain_shares
-from .earlier import FORMAT
+from .earlier import ASIDE, FORMAT
 from .evidence import asked_by, record_comparison
 from .junit import junit
 from .matrix import Matrix, VariantRun, run_matrix
@@ -36,6 +36,7 @@ from .tags import Tags
 from .variants import Variant
 
 __all__ = [
+    "ASIDE",
     "FORMAT",
     "FREE_RUN",
     "MEAN",

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 from hydrotwin.models.language.errors import DeclarationError
-from hydrotwin.models.language.provenance import made_from
+from hydrotwin.models.language.provenance import made_from_rows
 from hydrotwin.records.sizes import made_by_few
 
 from .asked import SUFFIX, Asked, check_criterion, criteria_about, judged_model, left_out
+from .band import Band
 from .changes import Change
 from .comparison import FREE_RUN, Comparison, Score
 from .criteria import Criterion, Judged, judge, over_recordings, some_of, worst
 from .earlier import earlier
-from .elsewhere import beside_holes, holes_of
+from .elsewhere import holes_of, slower, unknown_of
 from .metric import AGAIN, METRICS, OF_OUTPUT, SCORED
 from .rating import INNER
 from .sentence import other_of
@@ -119,11 +120,11 @@ def acceptance(comparison: Comparison, wanted: Wanted, variant: str = "") -> Acc
 
 
 def judged_so(one: Criterion, comparison: Comparison) -> Judged:
-    """A criterion between bounds of its own on the model judged. DeclarationError where nothing tests it."""
+    """A criterion between bounds of its own on the first model. DeclarationError where nothing tests it."""
     asked = Asked.of(comparison)
     model = judged_model(asked, "")
     check_criterion(one, asked, model)
-    return judge(one, _Values(comparison, model, one, Path()))
+    return _told(judge(one, _Values(comparison, model, one, Path())), comparison, model)
 
 
 def _earlier(path: Path, variant: str):
@@ -143,7 +144,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         samples=sum(samples.values()) or None,
         without=without,
         lacking=values.lacking(holding, about.than if np.isfinite(one.value) else model),
-        doubt=_doubt(comparison, model, about),
+        doubt=_doubt(comparison, model, about.output),
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
         skipped=values.lacking(holding, model) if METRICS[about.metric].at_times and np.isfinite(one.value) else (),
         seen=_seen(comparison, model, holding),
@@ -151,16 +152,23 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         mode=comparison.modes[0],
         flat=_flat(comparison, about, holding),
         holes=holes_of(judged_on, comparison.entrants),
-        beside=beside_holes(judged_on, comparison.entrants),
+        unknown=unknown_of(judged_on, about.output),
         otherwise=(
             *_started_otherwise(comparison, model, about.than, holding),
             *_started_untold(comparison, model, holding),
             *_made_by_few(comparison, model, about, holding),
+            *_unjudged(comparison, model, about),
+            *_of_run(comparison, model, about, holding),
             *_repeats(values.rows(model).values(), about, holding),
         ),
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))
+    doubt = _doubt(comparison, about.than, about.output) if METRICS[about.metric].of_band else ""
+    if doubt:  # nothing is shown by being as good as a band that does not hold
+        return dataclasses.replace(
+            one, high=np.nan, reason=f"{about.than} is no measure, its band cannot be trusted: {doubt}"
+        )
     if np.isnan(one.high) and not about.than.endswith(SUFFIX):
         why = _reason(comparison, about.than, about, holding)
         return dataclasses.replace(one, reason=f"{about.than} is no measure, {why}" if why else "")
@@ -188,16 +196,15 @@ def _reason(comparison: Comparison, model: str, about: Criterion, holding: tuple
 
 def _seen(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
     """Recordings that a model was fitted to or trained on: that it is good there, it has from them."""
-    known = frozenset().union(*(made_from(e.provenance) for e in comparison.entrants if e.name == model))
-    return tuple(r.name for r in comparison.records if r.name in holding and comparison.hashes(r) & known)
+    rows = [row for e in comparison.entrants if e.name == model for row in made_from_rows(e.provenance)]
+    return tuple(r.name for r in comparison.records if r.name in holding and comparison.follows(r, rows))
 
 
 def _trained(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
     """Recordings that were named as what the models were made from, beside those of which the model itself says so."""
-    named = {r.digest for r in comparison.train_records if r.digest}
     own = _seen(comparison, model, holding)
     rest = [r for r in comparison.records if r.name in holding and r.name not in own]
-    return tuple(r.name for r in rest if comparison.hashes(r) & named)
+    return tuple(r.name for r in rest if comparison.follows(r, comparison.train_rows))
 
 
 def _started_otherwise(comparison: Comparison, model: str, than: str, holding: tuple[str, ...]) -> tuple[str, ...]:
@@ -213,9 +220,12 @@ def _started_otherwise(comparison: Comparison, model: str, than: str, holding: t
 
 
 def _started_untold(comparison: Comparison, model: str, holding: tuple[str, ...]) -> tuple[str, ...]:
-    """That the judged model has something told of where it starts, in a sentence."""
-    noted = dict.fromkeys(s.of for s in comparison.starts if s.model == model and s.of in holding and s.estimate.note)
-    return (f"On {some_of(tuple(noted))} {model} starts as without an estimate.",) if noted else ()
+    """Why the judged model starts as without an estimate, in a sentence for each reason."""
+    noted: dict[str, list[str]] = {}
+    for s in comparison.starts:
+        if s.model == model and s.of in holding and s.estimate.note:
+            noted.setdefault(s.estimate.note.partition(". ")[0].rstrip("."), []).append(s.of)
+    return tuple(f"On {some_of(of)} {model} starts as without an estimate: {why}." for why, of in noted.items())
 
 
 def _made_by_few(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> list[str]:
@@ -250,13 +260,37 @@ def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) ->
     return f"{zero}: {about.output} moves by only {100 * least:.2g} % of its size, and errors as large hardly count"
 
 
-def _doubt(comparison: Comparison, model: str, about: Criterion) -> str:
-    """Why the band of the judged output, or of the other model where it counts, cannot be trusted; "" where it can."""
+def _doubt(comparison: Comparison, model: str, output: str) -> str:
+    """Why the band of an output of a model cannot be trusted, in free run; "" where it can."""
+    return next((b.why for b in _bands(comparison, model, output) if b.trusted is False), "")
+
+
+def _of_run(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> Iterator[str]:
+    """What is to be known of the runs that count, in sentences: how accurate they are, and what they leave."""
+    if rough := dict.fromkeys(r.record for r in comparison.inaccurate if r.model == model and r.record in holding):
+        yield f"The numbers of {model} on {some_of(tuple(rough))} are not those of its equations"
+    far = [d for d in comparison.domains if d.model == model and d.record in holding and d.extrapolates]
+    if far:
+        yield f"{model} extrapolates on {some_of([d.record for d in far])}, out of what it was trained on"
+    slow = [r.name for r in comparison.records if r.name in holding and slower(r, about.output)]
+    if comparison.modes[0] != FREE_RUN and slow:
+        yield f"{about.output} of {some_of(slow)} has no value in the row before, so that this is its free run"
+    judged = {id(r) for r in comparison.records if r.name in holding}
+    pairs = [(a.name, b.name) for a, b in comparison.copies if {id(a), id(b)} <= judged]
+    if pairs and about.metric != "max":
+        yield f"{some_of([f'{b} is {a}' for a, b in pairs])}, and counts twice"
+
+
+def _unjudged(comparison: Comparison, model: str, about: Criterion) -> list[str]:
+    """That a band which counts was never held against anything, in a sentence."""
+    bands = _bands(comparison, model, about.output) if METRICS[about.metric].of_band else []
+    return [f"Of the band of {b.output}: {b.why}" for b in bands if b.trusted is None]
+
+
+def _bands(comparison: Comparison, model: str, output: str) -> list[Band]:
     if comparison.modes[0] != FREE_RUN:
-        return ""
-    names = (model, about.than) if METRICS[about.metric].of_band else (model,)
-    bands = [b for n in names for e in comparison.entrants if e.name == n for b in e.bands if b.output == about.output]
-    return next((band.why for band in bands if band.trusted is False), "")
+        return []
+    return [b for e in comparison.entrants if e.name == model for b in e.bands if b.output == output]
 
 
 def _holding(comparison: Comparison, one: Criterion) -> tuple[str, ...]:

@@ -182,7 +182,12 @@ def _check_other(one: Criterion, asked: Asked, model: str) -> None:
 
 
 def _check_name(one: Criterion, asked: Asked) -> None:
-    """A name that several recordings have says of none of them that it is meant."""
+    """A name that several recordings have, or that is a tag of others, says of none of them that it is meant."""
+    if (chosen := of_group(asked.records, one.group)) and one.group in {r.name for r in asked.records} - set(chosen):
+        raise DeclarationError(
+            f"accept: '{one.text}': {one.group} is the name of one recording and a tag of {some_of(chosen)}. Rename "
+            "the file, or give those another tag and judge by that."
+        )
     own = {r.name: _given_name(r, [other.name for other in asked.records]) for r in asked.records}
     same = [name for name, given in own.items() if given == own.get(one.group)]
     if len(same) > 1:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hydrotwin.models.language.flat import ParameterValue, Signal
 from hydrotwin.models.language.summary_html import SmallTable, summary_html
-from hydrotwin.records import Record, copies
+from hydrotwin.records import Record, copies, follows, row_of
 
 from .band import Band
 from .field import FieldMetrics
@@ -240,10 +240,17 @@ class Comparison:
         """Pairs of recordings, of the training too, that are one in files of other bytes."""
         return tuple(copies([*self.train_records, *self.records]))
 
-    def hashes(self, record: Record) -> frozenset[str]:
-        """SHA-256 of the file of a recording, and of the files that hold the same."""
+    @cached_property
+    def train_rows(self) -> tuple[dict, ...]:
+        """By what the recordings are known again that were named as what the models were made from."""
+        names = [s.name for e in self.entrants for s in (*e.inputs, *e.outputs)]
+        return tuple(row_of(r, names) for r in self.train_records)
+
+    def follows(self, record: Record, rows: Sequence[Mapping]) -> bool:
+        """Whether a recording, in whatever file, is one of the ``rows`` of what something was made from: the one place
+        that says so (`records.follows`)."""
         same = [r for pair in self.copies if any(r is record for r in pair) for r in pair]
-        return frozenset(r.digest for r in (record, *same) if r.digest)
+        return bool(rows) and any(follows(rows, r) for r in (record, *same))
 
     @property
     def models(self) -> tuple[str, ...]:

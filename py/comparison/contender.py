@@ -33,8 +33,10 @@ class Contender(Protocol):
     """A model in a comparison.
 
     Optional attributes: ``parameters`` (tuple of ParameterValue), ``provenance`` (dict of plain values),
-    ``domain`` (TrainingDomain), ``modes`` (those it can run, all by default), ``content`` (all that its runs depend on,
-    as data: they are then kept and made in other processes, to which ``to_travel()`` goes, or it itself).
+    ``domain`` (TrainingDomain), ``modes`` (those it can run, all by default), ``states_set(record)`` (names of what a
+    measurement sets one step ahead; where nothing is, that is its free run, and no score), ``content`` (all that its
+    runs depend on, as data: they are then kept and made in other processes, to which ``to_travel()`` goes, or it
+    itself).
     """
 
     name: str
@@ -95,7 +97,7 @@ class PhysicalContender:
     def estimate_start(self, record: Record, how: str) -> StartEstimate:
         """Start states from the first part of ``record``, see there; those that ``start`` gives stay."""
         left = Spread.left_by(self.provenance)
-        return estimate_start(self.flat, record, how, self._start_of(record), left)
+        return estimate_start(self.flat, record, how, self.start_of(record), left)
 
     def unknown_at_first(self, record: Record) -> list[str]:
         """Outputs that say where a state starts, and of which the first sample is not known."""
@@ -122,13 +124,17 @@ class PhysicalContender:
         spread = {SPREAD: self.provenance[SPREAD]} if SPREAD in self.provenance else {}
         return with_changes(self, flat=dataclasses.replace(portable(self.flat, self._given()), provenance=spread))
 
+    def states_set(self, record: Record) -> list[str]:
+        """States that a measured output of ``record`` sets, one step ahead."""
+        return _states_set(self.flat.states, record)
+
     def free_run(self, record: Record) -> Record:
         """Outputs simulated from the inputs of ``record``."""
-        return simulate(self.flat, record, start=self._start_of(record), **self.how)
+        return simulate(self.flat, record, start=self.start_of(record), **self.how)
 
     def one_step(self, record: Record) -> Record:
         """Outputs predicted from the sample before; measured outputs replace the states they determine."""
-        return predict_one_step(self.flat, record, start=self._start_of(record), **self.how)
+        return predict_one_step(self.flat, record, start=self.start_of(record), **self.how)
 
     def deviations(self, record: Record) -> dict[str, np.ndarray]:
         """Standard deviation (n,), SI, of what sensors read in a free run, where the fit of the model is known."""
@@ -156,7 +162,8 @@ class PhysicalContender:
         """The start by recording; None where it is the same for all."""
         return self.start if any(isinstance(value, Mapping) for value in (self.start or {}).values()) else None
 
-    def _start_of(self, record: Record) -> Mapping[str, float] | None:
+    def start_of(self, record: Record) -> Mapping[str, float] | None:
+        """Start states that are given or estimated, SI by name; None where none are."""
         given, estimated = self._known_start(record), self.estimated.get(record.name)
         return {**(given or {}), **estimated.values} if estimated else given
 
@@ -165,6 +172,11 @@ class PhysicalContender:
         if record.in_motion:  # a start that is given is of where a recording begins
             return None
         return self.start if by_record is None else by_record.get(record.whole)
+
+
+def _states_set(states, record: Record) -> list[str]:
+    known = {name for name, values in record.signals.items() if np.isfinite(values).any()}
+    return [s.name for s in states if s.measured_by in known]
 
 
 def _saying(flat, provenance: Mapping | None):
@@ -203,6 +215,10 @@ class BlockContender:
         """The same block without what it was made of."""
         own = {f.name: getattr(self.block, f.name) for f in dataclasses.fields(Block) if f.name not in _WORDS}
         return BlockContender(Block(**own), self.kind, self.name, self.half_widths)
+
+    def states_set(self, record: Record) -> list[str]:
+        """States that a measured output of ``record`` sets, one step ahead."""
+        return _states_set(self.block.states, record)
 
     def free_run(self, record: Record) -> Record:
         """Outputs of the block run at its own period."""

@@ -61,8 +61,9 @@ class Judged:
     is held against, an earlier comparison or another model, in sentences. among : of an overall criterion all outputs
     that it is about, of which this is the worst; left_out : what it was not judged on, in words. seen : recordings that
     it was judged on and that the model was made from. flat : that the output hardly moves against its size, which the
-    metric counts by, in words; "" where it moves. holes : where runs began anew behind a hole, in words; beside :
-    samples that were not run, for they lie in a hole or in a part that is too short. mode : in which it was judged.
+    metric counts by, in words; "" where it moves. holes : where runs began anew behind a hole, in words; unknown :
+    samples that were not judged, for no value of the output is known there or nothing was run. mode : in which it was
+    judged.
     trained : recordings it was judged on that were named as what the models were made from. skipped : recordings that
     have no number of a metric that is the mean of the others.
     """
@@ -83,7 +84,7 @@ class Judged:
     seen: tuple[str, ...] = ()
     flat: str = ""
     holes: str = ""
-    beside: str = ""
+    unknown: str = ""
     mode: str = FREE_RUN
     trained: tuple[str, ...] = ()
     skipped: tuple[str, ...] = ()
@@ -100,8 +101,8 @@ class Judged:
 
     @property
     def passed(self) -> bool:
-        inside = self.low <= self.value <= self.high
-        return bool(np.isfinite(self.value) and (not self.criterion.strict if self.on_bound else inside))
+        inside = not self.criterion.strict if self.on_bound else self.low <= self.value <= self.high
+        return bool(np.isfinite(self.value) and inside and not self.untestable)
 
     @property
     def on_bound(self) -> bool:
@@ -109,10 +110,17 @@ class Judged:
         return any(math.isclose(self.value, bound, rel_tol=EQUAL) for bound in (self.low, self.high))
 
     @property
+    def untestable(self) -> str:
+        """Why a number says nothing, in a sentence: it is of a band that cannot be trusted; empty where it does."""
+        if not self.doubt or not METRICS[self.criterion.metric].of_band:
+            return ""
+        return f"cannot be tested, for the band of {self.criterion.output} cannot be trusted: {self.doubt}"
+
+    @property
     def undefined(self) -> str:
         """Why there is no number to judge, in a sentence; empty where there is one."""
-        if self.reason:
-            return self.reason
+        if self.reason or self.untestable:
+            return self.reason or self.untestable
         one, on = self.criterion, f" on {some_of(self.lacking)}" if self.lacking else ""
         if not np.isnan(self.value):
             return f"{one.than} has no {one.metric}{on} to compare with" if np.isnan(self.high) else ""
@@ -120,8 +128,8 @@ class Judged:
         return f"not defined{on}: {why.format(output=one.output)}"
 
     @property
-    def caution(self) -> str:
-        """What to know before it is relied on; empty where there is nothing."""
+    def cautions(self) -> tuple[str, ...]:
+        """What to know before it is relied on, one by one."""
         one, told = self.criterion, [self.left_out] if self.left_out else []
         if self.mode != FREE_RUN:
             told.append("judged one step ahead, and not in a free run")
@@ -136,20 +144,24 @@ class Judged:
             told.append(f"judged on {some_of(self.trained)}, named as what the models were made from, too")
         if self.holes:
             told.append(f"judged in parts, with a start of its own behind every hole: {self.holes}")
-        if self.beside:
-            told.append(f"not judged on {self.beside}, in or between holes")
+        if self.unknown:
+            told.append(f"not judged on {self.unknown}, where {one.output} is not known or nothing was run")
         if self.samples is not None and self.samples < FEWEST:
             told.append(f"judged on only {self.samples} sample{'s' * (self.samples != 1)}")
         told += [words for words in (self.flat, self.uneven) if words]
         told += [sentence.rstrip(".") for sentence in self.otherwise]
-        if self.doubt:
-            of_band = METRICS[one.metric].of_band
-            told.append("judged on a band that cannot be trusted" if of_band else "its band cannot be trusted")
-        return "; ".join(told)
+        if self.doubt and not self.untestable:
+            told.append("its band cannot be trusted")
+        return tuple(told)
+
+    @property
+    def caution(self) -> str:
+        """The same in words; empty where there is nothing."""
+        return "; ".join(self.cautions)
 
     @property
     def margin(self) -> float:
-        if not np.isfinite(self.value):
+        if not np.isfinite(self.value) or self.untestable:
             return -np.inf
         if self.on_bound:
             return 0.0
@@ -196,14 +208,15 @@ def worst(judged: Sequence[Judged]) -> Judged:
     if not first.criterion.overall:
         return first
     one = min(judged, key=lambda j: (j.passed, np.inf if np.isnan(j.margin) else j.margin))
-    apart = [j for j in judged if j is not one and j.without]
-    told = [f"{j.criterion.output} was not judged on {some_of(j.without)}, without it" for j in apart]
-    doubts = [j.doubt for j in (one, *judged) if j.doubt and (j is one or METRICS[one.criterion.metric].of_band)]
+    others: dict[str, list[str]] = {}  # what to know of other outputs alone: that all hold rests on them, too
+    for j in judged:
+        for words in (w for w in replace(j, doubt="").cautions if w not in one.cautions):
+            others.setdefault(words, []).append(j.criterion.output)
+    told = [f"of {some_of(names)}: {words}" for words, names in others.items()]
     return replace(
         one,
         among=tuple(j.criterion.output for j in judged),
         left_out="; ".join(filter(None, [one.left_out, *told])),
-        doubt=doubts[0] if doubts else "",
     )
 
 

@@ -18,6 +18,7 @@ from .metric import METRICS, SCORED
 from .variants import BASE, Variant
 
 VALIDATE = "validate"  # role of the recordings that are scored, in compare.json
+ASIDE = "earlier_answer"  # folder of the answer that the run before put aside, and that had none of its own
 FORMAT = "hydrotwin-compare/1"  # of compare.json; its number goes up where keys change their meaning or go
 
 
@@ -155,10 +156,13 @@ class Earlier:
 def earlier(path: Path, variant: str = "", folder: str = "") -> Earlier:
     """Read an earlier compare.json, of a variant its means, if it has it.
 
-    folder : of the variant beside the file, which then has the scores of its recordings.
+    folder : of the variant beside the file, which then has the scores of its recordings. A file that was put aside, for
+    the last run ended without an answer, is read where it is (`ASIDE`).
 
     Raises DataError for a file that is none or of another format, with what to do.
     """
+    aside = path.parent / ASIDE / path.name
+    path = aside if aside.is_file() and not path.exists() else path
     try:
         told = json.loads(path.read_text(encoding="utf-8"))
         if not isinstance(told, dict):

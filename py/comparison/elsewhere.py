@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 
+import numpy as np
+
 from hydrotwin.records import Record, unbroken
+from hydrotwin.records.unbroken import unknown_stretches
 
 from .contender import Contender
 from .criteria import some_of
@@ -35,11 +38,17 @@ def holes_of(records: Sequence[Record], models: Iterable) -> str:
     return some_of([w.holes if len(records) == 1 else f"{w.holes} of {w.name}" for w in wholes])
 
 
-def beside_holes(records: Sequence[Record], models: Iterable) -> str:
-    """Samples in which nothing was run, for they lie in a hole or beside it, in words; "" without any."""
-    known = input_names(models)
-    lost = [(r, len(r) - sum(map(len, unbroken(r, known)))) for r in records]
+def unknown_of(records: Sequence[Record], output: str) -> str:
+    """Samples that say nothing of an output, in words; "" without any: its sensor was silent for longer than the steps
+    of its own raster, or nothing was run there, for which a comparison leaves it unknown (`run.measured_in`)."""
+    lost = [(r, int(unknown_stretches(r.time, r[output]).sum())) for r in records]
     return some_of([f"{count} of {len(r)} samples of {r.name}" for r, count in lost if count])
+
+
+def slower(record: Record, name: str) -> bool:
+    """Whether a column has a raster of its own, so that it is not known in the row before: nothing sets it there."""
+    known = np.flatnonzero(np.isfinite(record[name])) if name in record.signals else ()
+    return len(known) > 1 and bool(np.median(np.diff(known)) > 1)
 
 
 def input_names(models: Iterable) -> tuple[str, ...]:

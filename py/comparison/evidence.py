@@ -8,16 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from hydrotwin.models.language.credibility import COMPARE, FIT, JUDGE, Credibility, Evidence, now, versions
+from hydrotwin.models.language.credibility import COMPARE, FIT, JUDGE, UNKNOWN, Credibility, Evidence, now, versions
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.model_file import ModelFile, add_evidence, read_model_file
-from hydrotwin.models.language.provenance import made_from
+from hydrotwin.models.language.provenance import OTHERS, SINCE, made_from_rows
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import Record
 from hydrotwin.records.reading import beside, reading_told
 
 from .acceptance import Acceptance
 from .comparison import Comparison, Entrant, Score
+from .elsewhere import unknown_of
 
 KEPT = ("rmse", "mae", "maximum", "fit_percent", "bias", "r2", "coverage")  # metrics that stay in a model file
 CLOSE = 1e-9  # relative: values are the same number, read in one unit or another
@@ -63,6 +64,11 @@ def asked_by(scenario) -> dict:
 
 def check_same(file: ModelFile, entrant: Entrant | None, name: str) -> None:
     """Raises DeclarationError where a model that was compared does not have the values of a file."""
+    if entrant and OTHERS in entrant.provenance.get(SINCE, ()):
+        raise DeclarationError(
+            f"{file.path}: {OTHERS}, so what was found of '{name}' says nothing of them. Identify the model again, and "
+            "record that."
+        )
     here = {p.name: p.value for p in entrant.parameters} if entrant else {}
     said = {n: s["value"] for n, s in file.settings.items()}
     apart = [n for n in said if n not in here or not np.isclose(said[n], here[n], rtol=CLOSE, atol=0.0)]
@@ -90,7 +96,7 @@ def _evidence(
     file: ModelFile, comparison: Comparison, accepted: Acceptance | None, name: str, asked: Mapping
 ) -> Evidence:
     fitted_on = fitted_recordings(file)
-    rows = [_recording(r, FIT if comparison.hashes(r) & fitted_on else JUDGE, file) for r in comparison.records]
+    rows = [_recording(r, FIT if comparison.follows(r, fitted_on) else JUDGE, file) for r in comparison.records]
     seen = {row["role"] for row in rows}
     role = seen.pop() if len(seen) == 1 else f"{FIT} and {JUDGE}"
     inaccurate = [f"{w.record}: {w.sentence}" for w in comparison.inaccurate if w.model == name]
@@ -102,6 +108,7 @@ def _evidence(
         else "measured",
         "asked": {**comparison.asked, **asked},
         "untrusted_bands": _untrusted(comparison, name),
+        UNKNOWN: _unknown(comparison),
         "failures": [f"{f.record}, {f.mode}: {f.sentence}" for f in comparison.failures if f.model == name],
     }
     return Evidence(
@@ -131,9 +138,15 @@ def _way(path: Path, folder: Path) -> str:
         return path.name
 
 
-def fitted_recordings(file: ModelFile) -> frozenset[str]:
-    """SHA-256 of the recordings that the values of a file follow, as far as it says."""
-    return file.credibility.fitted_on | made_from(file.provenance)
+def fitted_recordings(file: ModelFile) -> list[dict]:
+    """By what the recordings are known that the values of a file follow, as far as it says."""
+    return [*file.credibility.fitted_on, *made_from_rows(file.provenance)]
+
+
+def _unknown(comparison: Comparison) -> list[str]:
+    """Scored outputs of which samples are not known, and how many."""
+    lost = {s.name: unknown_of([r for r in comparison.records if s.name in r], s.name) for s in comparison.outputs}
+    return [f"{name} on {words}" for name, words in lost.items() if words]
 
 
 def _untrusted(comparison: Comparison, name: str) -> list[str]:

@@ -28,8 +28,9 @@ from .field import Predicted, field_metrics
 from .metrics import errors_of
 from .rates import with_rates
 from .residual import Residual, explain
-from .starts import Started, start_of
+from .starts import ESTIMATE, Started, start_of
 from .travel import Carried
+from .untold import untold_start
 
 SAME_STEP = 1e-3  # relative: the period of a block is that of a recording
 TIMING_BUDGET = 5.0  # s spent on repeating one run for its median
@@ -117,12 +118,25 @@ def run_job(job: Job) -> Done:
         legs = [(own, part) for (own, _), part in zip(begun, parts, strict=True)]
         for mode in job.plan.modes:
             run = _predict(legs, mode, job, found)
+            if run is not None and mode == FREE_RUN and begun[0][1] is None:
+                begun[0] = legs[0][0], _doubted(legs[0], run, job)
             if run is not None:
                 found.runs.append(run if job.curves else _lean(run, contender, job.record))
                 _score(contender, run, job, found)
     warned = dict.fromkeys((w.category.__name__, str(w.message)) for w in caught)
     rows = (tuple(rows) for rows in (found.runs, found.scores, found.residuals, found.failures, found.unscored))
     return Done(*rows, tuple(started for _, started in begun if started), tuple(warned))
+
+
+def _doubted(leg: tuple[Contender, Record], run: Run, job: Job) -> Started | None:
+    """How the first part of a recording starts, where nobody knows that and it makes most of the error."""
+    contender, part = leg
+    wanted = {s.name for s in job.plan.wanted}
+    at = np.searchsorted(job.record.time, part.time)
+    predicted = {n: y[at] for n, y in run.signals.items() if n in wanted and n in part.signals}
+    if not (note := untold_start(contender, part, predicted, job.noise)):
+        return None
+    return Started(contender.name, StartEstimate(part.name, note=f"{note}. {ESTIMATE}."), part.whole)
 
 
 @dataclass
@@ -142,8 +156,7 @@ def _predict(legs: Sequence[tuple[Contender, Record]], mode: str, job: Job, foun
     legs : it with its start on every part of the recording, and the part. What is between them nothing predicts.
     """
     (contender, _), record, plan = legs[0], job.record, job.plan
-    if mode not in getattr(contender, "modes", MODES):
-        reason = f"no {mode}: its states cannot be set"
+    if reason := _not_in(mode, contender, record):
         found.unscored.extend(Unscored(contender.name, record.name, s.name, reason) for s in plan.wanted)
         return None
     try:
@@ -162,6 +175,15 @@ def _predict(legs: Sequence[tuple[Contender, Record]], mode: str, job: Job, foun
     chance = {n: min(1.0, len(chances) * min(values)) for n, values in each.items()}  # that of one of several parts
     signals, units = dict(prediction.signals), dict(prediction.units)
     return Run(mode, signals, units, prediction.name, deviation, tuple(seconds), chance)
+
+
+def _not_in(mode: str, contender: Contender, record: Record) -> str:
+    """Why a contender has no score in a mode, whatever the output; "" where it has."""
+    if mode not in getattr(contender, "modes", MODES):
+        return f"no {mode}: its states cannot be set"
+    if mode == FREE_RUN or not hasattr(contender, "states_set") or contender.states_set(record):
+        return ""
+    return f"no {mode}: no output that is measured sets a state of it, so that it would be its free run"
 
 
 def _leg(contender: Contender, part: Record, mode: str, repeats: int) -> tuple[Record, list[float]]:

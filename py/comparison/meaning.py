@@ -73,7 +73,14 @@ def _meant(said: Sentence, signals: Mapping[str, Signal]) -> Criterion:
             f"accept: '{said.text}' holds for nothing: its range ends before it begins. Turn it round."
         )
     _require_a_test(one, bounds)
-    return replace(one, **_written(said.unit, signals[output], metric))
+    return replace(_bounded(one), **_written(said.unit, signals[output], metric))
+
+
+def _bounded(one: Criterion) -> Criterion:
+    """Without a bound that its metric cannot pass, 0 of an error or 1 of a share: nobody is near to missing that."""
+    can = METRICS[one.metric]
+    low = -math.inf if one.low <= can.least else one.low
+    return replace(one, low=low, high=math.inf if one.high >= can.most else one.high)
 
 
 def _require_a_test(one: Criterion, bounds: Sequence[float]) -> None:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydrotwin.models.language.provenance import made_from, told_since
+from hydrotwin.models.language.provenance import made_from_rows, told_since
 from hydrotwin.records import all_unbroken, cuts, turned_back
 from hydrotwin.records.between import shown_otherwise
 from hydrotwin.records.sizes import far_from_usual, made_by_few
 
 from .comparison import FREE_RUN, ONE_STEP
 from .criteria import some_of
-from .elsewhere import input_names
+from .elsewhere import input_names, slower
 from .uneven import uneven
 
 if TYPE_CHECKING:
@@ -24,7 +24,13 @@ if TYPE_CHECKING:
 
 def notices(comparison: Comparison) -> tuple[str, ...]:
     """All of them: what a model was made from, what failed, what cannot be believed, what recordings lack."""
-    first = _made(comparison) + _inaccurate(comparison) + _failures(comparison) + _unlikely(comparison)
+    first = (
+        _made(comparison)
+        + _started(comparison)
+        + _inaccurate(comparison)
+        + _failures(comparison)
+        + _unlikely(comparison)
+    )
     found = _sizes(comparison) + _cut(comparison) + _turned(comparison) + _holes(comparison) + _uneven(comparison)
     return tuple(first + found + _slower(comparison))
 
@@ -43,6 +49,11 @@ def starts_told(starts: Sequence[Started]) -> list[str]:
         alike.setdefault(one.noted("") if one.estimate.note else str(one), []).append(one)
     noted = [(some[0], some_of([s.estimate.record for s in some])) for some in alike.values()]
     return [one.noted(where) if one.estimate.note else str(one) for one, where in noted]
+
+
+def _started(comparison: Comparison) -> list[str]:
+    """Models that start where nobody says they do, and why."""
+    return [f"{told.rstrip('.')}." for told in starts_told([s for s in comparison.starts if s.estimate.note])]
 
 
 def _sizes(comparison: Comparison) -> list[str]:
@@ -131,15 +142,14 @@ def seen_before(comparison: Comparison) -> list[str]:
     """Recordings that a model was fitted to or trained on: how good it is on those says little."""
     found = []
     for entrant in comparison.entrants:
-        known = made_from(entrant.provenance)
-        seen = [r.name for r in comparison.records if comparison.hashes(r) & known]
+        rows = made_from_rows(entrant.provenance)
+        seen = [r.name for r in comparison.records if comparison.follows(r, rows)]
         if seen:
             found.append(
                 f"{entrant.name} was made from {', '.join(seen)}: its errors there say nothing of other recordings. "
                 "Judge it on one that it has not seen."
             )
-    trained = {r.digest for r in comparison.train_records if r.digest}
-    if both := [r.name for r in comparison.records if comparison.hashes(r) & trained]:
+    if both := [r.name for r in comparison.records if comparison.follows(r, comparison.train_rows)]:
         found.append(
             f"Named as what the models were made from, too: {some_of(both)}. Errors there say nothing of other "
             "recordings. Judge on ones that no model has seen."
@@ -190,8 +200,7 @@ def _slower(comparison: Comparison) -> list[str]:
     """Outputs that are not known in the row before: one step ahead nothing is taken from them."""
     slow: dict[str, list[str]] = {}
     for record in comparison.records if ONE_STEP in comparison.modes else ():
-        known = {s.name: np.flatnonzero(np.isfinite(record[s.name])) for s in comparison.outputs if s.name in record}
-        for name in (name for name, at in known.items() if len(at) > 1 and np.median(np.diff(at)) > 1):
+        for name in (s.name for s in comparison.outputs if slower(record, s.name)):
             slow.setdefault(name, []).append(record.name)
     return [
         f"{name} of {some_of(records)} has no value in the row before: one step ahead its state is as in the free run."

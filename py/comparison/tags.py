@@ -215,17 +215,19 @@ def groups(records: Sequence[Record]) -> tuple[str, ...]:
 
 
 def of_group(records: Sequence[Record], group: str) -> tuple[str, ...]:
-    """Names of the recordings of a group, ``tag=value``, or of several at once, ``load=20, oil=40 degC``, or of one
-    name; all for "".
+    """Names of the recordings of a group, ``tag=value``, or of several at once, ``load=20, oil=40 degC``; of what is no
+    tag the recording of that name; all for "".
 
     A tag may have a sign of equality in its name, and a value in it, as `groups` writes them. A value may be written
-    otherwise than there: 40.0 is 40.
+    otherwise than there: 40.0 is 40. A recording that is called like a tag of others does not join them.
     """
-    found, tags = _of_one(records, group), each_tag(group)
-    if found or len(tags) < 2:
-        return found
-    of_each = [_of_one(records, tag) for tag in tags]
-    return tuple(r.name for r in records if all(r.name in names for names in of_each))
+    if not group:
+        return tuple(r.name for r in records)
+    found, tags = _tagged(records, group), each_tag(group)
+    if not found and len(tags) > 1:
+        of_each = [_tagged(records, tag) for tag in tags]
+        found = tuple(r.name for r in records if all(r.name in names for names in of_each))
+    return found or tuple(r.name for r in records if r.name == group)
 
 
 def each_tag(group: str) -> tuple[str, ...]:
@@ -237,10 +239,10 @@ def each_tag(group: str) -> tuple[str, ...]:
     return tuple(part.strip() for part in _NEXT_TAG.split(group))
 
 
-def _of_one(records: Sequence[Record], group: str) -> tuple[str, ...]:
+def _tagged(records: Sequence[Record], group: str) -> tuple[str, ...]:
     asked = {(tag, _meaning(value)) for tag, value in _parted(group)}
     told = [{(tag, _meaning(value)) for tag, value in r.tags.items()} for r in records]
-    return tuple(r.name for r, tags in zip(records, told, strict=True) if group in ("", r.name) or asked & tags)
+    return tuple(r.name for r, tags in zip(records, told, strict=True) if asked & tags)
 
 
 def _parted(group: str) -> Iterator[tuple[str, str]]:

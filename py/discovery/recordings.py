@@ -17,7 +17,7 @@ from hydrotwin.identification.noise import output_noise, quanta
 from hydrotwin.identification.problem import Recording, delays_filled, recordings, unbroken_for
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import cuts, distinct, shares_samples
+from hydrotwin.records import cuts, distinct, require_unseen
 
 from .evidence.deciding import DECIDING
 
@@ -153,17 +153,6 @@ def _moving(flat: FlatModel, records: Sequence, outputs: Sequence[str] | None) -
             "Record motion in both directions, at several speeds."
         )
     return [n for n in recorded if n not in still], still
-
-
-def require_unseen(records: Sequence, validate: Sequence) -> None:
-    """DataError when one of ``validate`` is one of ``records``, or a part or a copy of it."""
-    for record in validate:
-        same = next((r for r in records if shares_samples(record, r)), None)
-        if same is not None:
-            raise DataError(
-                f"{record.source or record.name}: samples of {same.source or same.name}, which is learned "
-                "from. Only an unseen recording can judge. Name another one to validate."
-            )
 
 
 def _moves(values: np.ndarray) -> bool:

@@ -8,10 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hydrotwin.models.language.credibility import FIT, KEY, Credibility, from_data
+from hydrotwin.models.language.credibility import KEY, Credibility, from_data
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import SD
-from hydrotwin.models.language.provenance import SINCE
+from hydrotwin.models.language.provenance import MARKED, SINCE
 
 from .archive import file_names
 from .related import FOLDER, content_of
@@ -82,12 +82,12 @@ def made_from_inside(path: Path, outputs: Sequence[str]) -> dict:
         known = record_of(path).credibility if RECORD_FILE in file_names(path) else Credibility()
     except DataError:
         return {}
-    rows = [row for one in known.evidence for row in one.recordings if row["role"] == FIT and row["sha256"]]
+    rows = [row for row in known.fitted_on if row["sha256"] or MARKED in row]
     if not rows:
         return {}
     told = [one.facts.get(SINCE) for one in known.evidence]
     since = [str(word) for words in told if isinstance(words, list | tuple) for word in words]
-    seen = {row["sha256"]: {"name": row["name"], "sha256": row["sha256"]} for row in rows}
+    seen = {(row["sha256"], str(row.get(MARKED))): row for row in rows}
     own_band = any(name.endswith(SD) for name in outputs)
     return {"trained_on": [*seen.values()], SINCE: since if own_band else [*since, "an FMU, which holds no covariance"]}
 

@@ -167,11 +167,12 @@ class FmuBlock:
         """What this FMU can be asked: one step only where every state can be set at the start."""
         return ("free run", "one step") if self.description.restarts else ("free run",)
 
-    def one_step(self, record: Record) -> Record:
-        """Outputs at ``record.time``, each from a restart at the measurement one sample before.
+    def states_set(self, record: Record) -> list[str]:
+        """Starts that a measured output of ``record`` sets, one step ahead."""
+        return [p for p, o in self.starts.items() if o in record.signals and np.isfinite(record[o]).any()]
 
-        Only possible when every state of the FMU can be set at the start; other FMUs raise DeclarationError.
-        """
+    def one_step(self, record: Record) -> Record:
+        """Outputs at ``record.time``, each from a restart at the sample before. DeclarationError where none can be."""
         if not self.description.restarts:
             raise DeclarationError(
                 f"{self.name}: one-step prediction is not available for this FMU, its inner states cannot be set. "
@@ -181,9 +182,8 @@ class FmuBlock:
         job, arrays = settled(self._told(record), [record])._job("restart", record, record)
         pairs = {p: o for p, o in self.starts.items() if o in record}
         job |= {"states": list(self.description.states), "measured_starts": list(pairs)}
-        columns = [self.in_own_units(p, record, o) for p, o in pairs.items()]
-        arrays["measured"] = np.column_stack(columns) if columns else np.empty((len(record), 0))
-        return self._record(record, run_child(job, arrays, self.time_limit)["y"])
+        told = np.reshape([self.in_own_units(p, record, o) for p, o in pairs.items()], (len(pairs), len(record))).T
+        return self._record(record, run_child(job, arrays | {"measured": told}, self.time_limit)["y"])
 
     def _told(self, record: Record) -> FmuBlock:
         """`fed_by` for whoever has not asked for it: with a warning."""

@@ -16,10 +16,11 @@ from pathlib import Path
 
 from hydrotwin.models.language import Component, Model
 from hydrotwin.models.language.credibility import StaleEvidenceWarning
+from hydrotwin.models.language.equations import equations_digest
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError, nearest
 from hydrotwin.models.language.model_file import ModelFile, read_model_file
 from hydrotwin.models.language.parameter_file import read_toml
-from hydrotwin.models.language.provenance import EDITED, lasting, refitted
+from hydrotwin.models.language.provenance import EDITED, EQUATIONS, OTHERS, lasting, refitted
 from hydrotwin.models.language.user_code import place, place_of_code, running
 
 PHYSICAL = ("cehA", "cehA:third_order", "spool_valve", "spool_valve:quasi_static")
@@ -188,23 +189,35 @@ def _with_file(model, file: ModelFile) -> Model:
     try:
         settings, provenance = _vouched(file)
         provenance = refitted(model.provenance, provenance, stay=True)
-        answer = with_effects(_as_it_is(model, file), file.effects).with_settings(settings, provenance)
-        answer = answer.with_inputs(file.inputs) if file.inputs else answer
-        _ = answer.flat
+        bare = with_effects(_as_it_is(model, file), file.effects)
+        bare = bare.with_inputs(file.inputs) if file.inputs else bare
+        answer = bare.with_settings(settings, provenance)
+        others = file.provenance.get(EQUATIONS, "") not in ("", equations_digest(answer.flat))
+        if others:
+            answer = bare.with_settings(*_without_intervals(settings, provenance, OTHERS))
     except HydrotwinError as error:
         raise type(error)(f"{file.path}: {error}") from None
     if file.stale:
         warnings.warn(file.stale, StaleEvidenceWarning, stacklevel=4)
+    if others:
+        warnings.warn(
+            f"{file.path}: {OTHERS} (code that was edited, or another version of hydrotwin), so its record no longer "
+            "holds, nor do the intervals of its fit, which are left out. Identify the model again.",
+            StaleEvidenceWarning,
+            stacklevel=4,
+        )
     return answer
 
 
 def _vouched(file: ModelFile) -> tuple[dict, dict]:
     """Settings and provenance; without the intervals of a fit where its values were edited: they are about others."""
     settings, provenance = dict(file.settings), dict(file.provenance)
-    if file.stale:
-        settings = {n: {k: v for k, v in s.items() if k != "sigma"} for n, s in settings.items()}
-        provenance = lasting(provenance, EDITED)
-    return settings, provenance
+    return _without_intervals(settings, provenance, EDITED) if file.stale else (settings, provenance)
+
+
+def _without_intervals(settings: Mapping, provenance: Mapping, since: str) -> tuple[dict, dict]:
+    known = {n: {k: v for k, v in s.items() if k != "sigma"} for n, s in settings.items()}
+    return known, lasting(provenance, since)
 
 
 def _as_it_is(model: Model, file: ModelFile) -> Model:

@@ -299,7 +299,7 @@ def _judged(task: Task, shooting: Shooting, best: Minimum, judged: Sequence[Reco
 
 def _record_fit(task: Task, shooting: Shooting, recording: Recording, role: str, z: np.ndarray) -> RecordFit:
     start = {n: float(v) for n, v in zip(shooting.start.names, z * shooting.start.nominal, strict=True)}
-    return RecordFit(recording.name, role, recording.digest, len(recording.time), start)
+    return RecordFit(recording.name, role, recording.digest, len(recording.time), start, recording.row)
 
 
 def _output_residuals(task: Task, weighted: np.ndarray, recording: Recording, role: str):

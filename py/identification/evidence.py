@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from hydrotwin.models.language.credibility import FIT, IDENTIFY, JUDGE, Evidence, now, recording_rows, versions
-from hydrotwin.models.language.provenance import ASKED, RECORDINGS, SPREAD
-from hydrotwin.records import Record
+from hydrotwin.models.language.provenance import ASKED, MARKED, RECORDINGS, SAMPLES, SPREAD, TRAIN
+from hydrotwin.records import Record, row_of
 
 from .bands import Spread
 from .fit import Fit
@@ -34,8 +34,20 @@ def made_by_fit(fit: Fit) -> dict:
 
 
 def recordings_of(fit: Fit) -> list[dict[str, str]]:
-    """Name, role and SHA-256 of the recordings of a fit."""
-    return [{"name": r.name, "role": r.role, "sha256": r.digest or ""} for r in fit.records]
+    """Name, role and SHA-256 of the recordings of a fit, of those that values follow with marks."""
+    return [
+        {"name": r.name, "role": r.role, "sha256": r.digest or ""} | (_marks(r.row) if r.role == TRAIN else {})
+        for r in fit.records
+    ]
+
+
+def names_of(flat) -> list[str]:
+    """Columns of recordings that a model is about."""
+    return [s.name for s in (*flat.inputs, *flat.outputs)]
+
+
+def _marks(row: Mapping) -> dict:
+    return {key: row[key] for key in (SAMPLES, MARKED) if key in row}
 
 
 def evidence_of_fit(fit: Fit, train: Sequence[Record], judged: Sequence[Record]) -> Evidence:
@@ -49,7 +61,7 @@ def evidence_of_fit(fit: Fit, train: Sequence[Record], judged: Sequence[Record])
     unexplained = dict.fromkeys(r.output for r in fit.residuals if r.role == "train" and not r.explained)
     return Evidence(
         IDENTIFY, now(), "", versions(),
-        (*recording_rows(train, FIT), *recording_rows(judged, JUDGE)),
+        (*(row_of(r, names_of(fit.flat), FIT) for r in train), *recording_rows(judged, JUDGE)),
         tuple(metrics),
         accuracy=fit.accuracy.as_data() if fit.accuracy else {},
         facts={"chi2_per_sample": float(fit.chi2_per_dof), "unexplained": list(unexplained)},

@@ -74,13 +74,15 @@ class OutputResidual:
 
 @dataclass(frozen=True)
 class RecordFit:
-    """One recording in the fit: its role ("train" or "validate"), its content hash and its estimated start states."""
+    """One recording in the fit: its role ("train" or "validate"), its content hash, its estimated start states, and by
+    what it is known again (`records.row_of`)."""
 
     name: str
     role: str
     digest: str | None
     samples: int
     start: Mapping[str, float]
+    row: Mapping = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

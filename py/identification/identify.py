@@ -12,7 +12,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import fitted_beside
 from hydrotwin.models.language.provenance import refitted
-from hydrotwin.records import cuts, distinct
+from hydrotwin.records import cuts, distinct, require_unseen
 from hydrotwin.records.between import settled
 from hydrotwin.simulation import prepare
 
@@ -95,6 +95,7 @@ def identify(
     if weights not in WEIGHTS:
         raise DeclarationError(f"identify: no weights '{weights}'. {nearest(weights, WEIGHTS)}")
     parameters = free_parameters(flat, free, start, bounds)
+    require_unseen(records, validate)
     records, validate = (unbroken_for(flat, some) for some in distinct(records, validate))
     train = recordings(flat, records, outputs, "record")
     sigma = output_noise(flat, train, noise)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import FlatModel
-from hydrotwin.records import Record, as_needed, known_inputs, require, unbroken
+from hydrotwin.records import Record, as_needed, known_inputs, require, row_of, unbroken
 from hydrotwin.records.noise import recorded_step
 from hydrotwin.simulation.inputs import as_seen
 
@@ -70,7 +70,8 @@ class Recording:
     """One recording as the solver sees it: u (n, nu) and y (n, ny) in SI, nan where an output was not measured.
 
     time (n,) counts from where the recording begins, as a drift does; a logger's clock may begin anywhere.
-    in_motion : it begins where a recording goes on, and no equilibrium tells how.
+    in_motion : it begins where a recording goes on, and no equilibrium tells how. row : by what it is known again, of
+    `records.row_of`.
     """
 
     name: str
@@ -79,6 +80,7 @@ class Recording:
     u: np.ndarray
     y: np.ndarray
     in_motion: bool = False
+    row: Mapping = field(default_factory=dict)
 
     @cached_property
     def steps(self) -> np.ndarray:
@@ -231,8 +233,9 @@ def _recording(flat: FlatModel, record, wanted: Sequence[str], role: str) -> Rec
             f"{name}: none of the outputs of {flat.name} is recorded (got {', '.join(record.signals) or 'nothing'}). "
             f"At least one of {', '.join(wanted)} is needed."
         )
+    known = row_of(record, [s.name for s in needed])
     u = np.column_stack(columns) if columns else np.zeros((len(time), 0))
-    return delays_filled(flat, Recording(name, record.digest, time - begins, u, y, record.in_motion))
+    return delays_filled(flat, Recording(name, record.digest, time - begins, u, y, record.in_motion, known))
 
 
 def delays_filled(flat: FlatModel, recording: Recording) -> Recording:

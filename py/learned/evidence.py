@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from hydrotwin.models.language.credibility import FIT, JUDGE, LEARN, Credibility, Evidence
+from hydrotwin.models.language.provenance import MADE_FROM, known_by
 from hydrotwin.simulation import Block
 
 from .report_card import card_of
 
 MODE = "free run"
 _NUMBERS = ("rmse", "mae", "maximum", "bias", "fit_percent")  # of an output on a card, SI
-_MADE_FROM = ("trained_on", "selected_on", "physics_trained_on")
 
 
 def credibility_of_block(block: Block) -> Credibility | None:
     """The recordings that its values and its form follow, and errors by output (SI) on what was held out; None for a
     block that does not say what it was trained on."""
-    said = [row for key in _MADE_FROM for row in _rows(block.provenance.get(key))]
+    said = [row for key in MADE_FROM for row in _rows(block.provenance.get(key))]
     if not said:
         return None
     card = card_of(block)
@@ -27,8 +27,8 @@ def credibility_of_block(block: Block) -> Credibility | None:
         if "unit" in row
     ]
     facts = {"kind": str(block.provenance.get("kind", "")), "card": str(card.get("says", ""))}
-    recordings = {(r["name"], r.get("sha256", "")) for r in said}
-    rows = tuple({"name": name, "sha256": digest or "", "role": FIT} for name, digest in sorted(recordings))
+    known = {(row["name"], row["sha256"]): row for row in map(known_by, said)}
+    rows = tuple(known[key] | {"role": FIT} for key in sorted(known))
     versions = {str(k): str(v) for k, v in block.provenance.get("versions", {}).items()}
     return Credibility((Evidence(LEARN, "", "", versions, rows, tuple(metrics), facts=facts),))
 

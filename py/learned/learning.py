@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record, all_unbroken, as_needed, cuts
+from hydrotwin.records import Record, all_unbroken, as_needed, cuts, shares_samples
 from hydrotwin.simulation import Block, simulate
 
 from . import held_out
@@ -33,7 +33,7 @@ from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .state_network.learn import learn_state_network
 from .substeps_step import STEPS as SUBSTEPS
 from .symbolic.learn import learn_symbolic
-from .training_data import MANY
+from .training_data import MANY, with_marks
 from .validation import judges, validated
 
 KINDS: Mapping[str, Callable] = {
@@ -139,8 +139,10 @@ def trained(
 
     def on(some: Sequence[Record]) -> Block:
         if kind == "hybrid":
-            return train(model, some, list(outputs) or None, **options)
-        return train(some, inputs, outputs, **options)
+            block = train(model, some, list(outputs) or None, **options)
+        else:
+            block = train(some, inputs, outputs, **options)
+        return with_marks(block, [*some, *(options.get("select") or ())])
 
     try:
         return on(split.fit), split
@@ -177,9 +179,8 @@ def check_judges(validate: Sequence[Record], records: Sequence[Record], inputs, 
 
 
 def check_select(kind: str, records: Sequence[Record], select: Sequence[Record] | None) -> None:
-    """Raises DeclarationError for a recording, by its hash, that is both trained on and to choose."""
-    trained = {r.digest for r in records} - {None, ""}
-    twice = [r.name for r in select or () if r.digest in trained]
+    """Raises DeclarationError for a recording that is both trained on and to choose."""
+    twice = [one.name for one in select or () if any(shares_samples(one, r) for r in records)]
     if twice:
         raise DeclarationError(
             f"learn {kind}: {', '.join(twice)} is trained on: choosing on it, too, says nothing of others. Give "

@@ -14,6 +14,7 @@ from hydrotwin.simulation.stops import Diverged
 
 from .held_out import Part, through
 from .learning import PUBLISHED, held_out_of, trainer, unbroken_for
+from .training_data import with_marks
 from .validation import validated
 
 REFITTED = "Then it was trained again on all recordings: the figures are those of the block that had not seen all."
@@ -66,6 +67,7 @@ def refitted(
         again = train(model, records, list(outputs) or None, **options)
     else:
         again = train(records, inputs, outputs, **options)
+    again = with_marks(again, records)
     told = dict(block.provenance.get("free_run", {}))
     worse = _worse(again, told, held_out_of(records, inputs, outputs, model).parts)
     if told:

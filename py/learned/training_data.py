@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record, noise_floor, require
+from hydrotwin.models.language.provenance import MADE_FROM, SAMPLES
+from hydrotwin.records import Record, noise_floor, require, row_of
 from hydrotwin.simulation.block import ON_THE_EDGE, Block, TrainingDomain
 
 RESOLUTION = 2e-3  # of a signal's range: what linear interpolation at the chosen period may lose
@@ -203,8 +204,18 @@ def increment_spread(runs: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def named(records: Sequence[Record]) -> list[dict]:
-    """Recordings by name, digest and length, for the provenance."""
-    return [{"name": r.name, "sha256": r.digest, "samples": len(r)} for r in records]
+    """Recordings by name, digest, length and marks, for the provenance."""
+    return [{**row_of(r), "sha256": r.digest, SAMPLES: len(r)} for r in records]
+
+
+def with_marks(block: Block, records: Sequence[Record]) -> Block:
+    """The block with the marks of what it was made from by the columns that it is about, of however many there are."""
+    names, own = [s.name for s in (*block.inputs, *block.outputs)], {(r.name, len(r)): r for r in records}
+    told = dict(block.provenance)
+    for key in (key for key in MADE_FROM if isinstance(told.get(key), list | tuple)):
+        known = [(row, own.get((row.get("name"), row.get(SAMPLES)))) for row in told[key]]
+        told[key] = [row if r is None else {**row, **row_of(r, names), "sha256": r.digest} for row, r in known]
+    return replace(block, provenance=told)
 
 
 def smoothed(values: np.ndarray) -> np.ndarray:

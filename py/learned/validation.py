@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError, nearest
-from hydrotwin.records import Record, all_unbroken, as_needed, shares_samples
+from hydrotwin.records import Record, all_unbroken, as_needed, require_unseen
 from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
@@ -31,12 +31,7 @@ def judges(validate: Sequence[Record], records: Sequence[Record], columns: Seque
                 f"{where}: no column '{missing}', which the block has. {nearest(missing, record.names)} "
                 "Name another recording to validate."
             )
-        same = next((r for r in records if shares_samples(record, r)), None)
-        if same is not None:
-            raise DataError(
-                f"{where}: samples of {same.source or same.name}, which is trained on. Only an unseen recording can "
-                "judge. Name another one to validate."
-            )
+    require_unseen(records, validate)
     return list(validate)
 
 

@@ -2,10 +2,20 @@
 
 from .files import SUFFIXES, WRITTEN, read_record, write_record
 from .filters import one_euro, savitzky_golay
+from .marks import follows, row_of
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
 from .record import EXACT, Gap, Record, Whole, distinct, gaps_of
-from .require import as_needed, copies, known_inputs, require, require_once, shares_samples, without_unknown
+from .require import (
+    as_needed,
+    copies,
+    known_inputs,
+    require,
+    require_once,
+    require_unseen,
+    shares_samples,
+    without_unknown,
+)
 from .resampling import steps_over
 from .scale import Scale, parse_scale
 from .turning import turned_back
@@ -26,6 +36,7 @@ __all__ = [
     "copies",
     "cuts",
     "distinct",
+    "follows",
     "gaps_of",
     "import_from",
     "import_text",
@@ -38,6 +49,8 @@ __all__ = [
     "reading_of",
     "require",
     "require_once",
+    "require_unseen",
+    "row_of",
     "savitzky_golay",
     "shares_samples",
     "steps_over",

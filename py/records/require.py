@@ -158,9 +158,12 @@ def _divided(unit: str, over: str) -> str:
     return f"{unit}/{over}" if unit and "/" not in unit else f"({unit})/{over}"
 
 
-def require_once(records: Sequence[Record]) -> None:
-    """DataError when two were read from files that hold the same: it would count twice, in every fit and every mean."""
-    first: dict[str, Record] = {}
+def require_once(records: Sequence[Record], samples: bool = False) -> None:
+    """DataError when two were read from files that hold the same: it would count twice, in every fit and every mean.
+
+    samples : the same samples, too, in files of other bytes.
+    """
+    first: dict[str, Record] = {other.digest or str(id(other)): one for one, other in copies(records) if samples}
     for record in records:
         same = first.setdefault(record.digest or str(id(record)), record)
         if same is not record:
@@ -179,6 +182,17 @@ def shares_samples(record: Record, other: Record) -> bool:
         return True
     short, long = sorted((record, other), key=lambda r: len(r.time))
     return any(_same_at(short, long, shift) for shift in (0.0, *_shifts(short, long)))
+
+
+def require_unseen(records: Sequence[Record], validate: Sequence[Record]) -> None:
+    """DataError when one of ``validate`` is one of ``records``, which are learned from, or a part or a copy of it."""
+    for record in validate:
+        same = next((r for r in records if shares_samples(record, r)), None)
+        if same is not None:
+            raise DataError(
+                f"{record.source or record.name}: samples of {same.source or same.name}, which is learned from. Only "
+                "an unseen recording can judge. Name another one to validate."
+            )
 
 
 def copies(records: Sequence[Record]) -> list[tuple[Record, Record]]:

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from hydrotwin.comparison import Acceptance, Change, Judged
-from hydrotwin.comparison.metric import METRICS
 
 from .format import NONE, difference_to_shown, number_text, with_unit
 from .page import Note, Section
@@ -44,10 +43,9 @@ def _careful(judged: Sequence[Judged]) -> tuple[str, ...]:
     return (f"Careful with “{first.criterion.text}”: {first.caution}.{more}",)
 
 
-def _says(one: Judged) -> tuple[bool, bool, int]:
-    """How much a criterion with a caution says: least where its band counts and is doubted, then where the model had
-    seen what judges it, then by its samples."""
-    return not (one.doubt and METRICS[one.criterion.metric].of_band), not one.seen, one.samples or 0
+def _says(one: Judged) -> tuple[bool, int]:
+    """How much a criterion with a caution says: least where the model had seen what judges it, then by its samples."""
+    return not one.seen, one.samples or 0
 
 
 def acceptance_lines(accepted: Acceptance, shown: Mapping[str, str]) -> list[tuple[bool, str]]:

@@ -55,8 +55,8 @@ def headline(comparison: Comparison, shown: Mapping[str, str], look: Mapping[str
     left = len([s for s in comparison.outputs if comparison.ranking(s.name, mode)]) - len(first)
     more = f" {left} more output{'s are' if left > 1 else ' is'} below." if left > 0 else ""
     count = len(comparison.records)
-    trained_on = {r.digest or r.name for r in comparison.train_records}
-    known = sum((r.digest or r.name) in trained_on for r in comparison.records)
+    named = {r.name for r in comparison.train_records if not r.digest}
+    known = sum(r.name in named or comparison.follows(r, comparison.train_rows) for r in comparison.records)
     role = "training" if known == count else "" if known else "validation"
     over = f"mean over the {count} {role} recordings".replace("  ", " ") if count > 1 else f"on the {role} recording"
     over += f" ({known} of them trained on)" if 0 < known < count else ""

@@ -10,6 +10,7 @@ from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
+from hydrotwin.models.language.provenance import MARKED
 from hydrotwin.models.language.writing import printable
 from hydrotwin.records import Record
 
@@ -108,7 +109,7 @@ def _items(key: str, value) -> Iterator[tuple[str, str]]:
 def _text(value) -> str:
     """One value for a reader: files by name and digest, numbers with four digits."""
     if isinstance(value, Mapping):
-        shown = {k: v for k, v in value.items() if k != "source"}  # the folder on somebody's machine
+        shown = {k: v for k, v in value.items() if k not in ("source", MARKED)}  # a folder of somebody's; for programs
         return ", ".join(_text(v) if k in ("name", "role") else f"{k} {_text(v)}" for k, v in shown.items())
     if isinstance(value, float):
         return number_text(value, 4)

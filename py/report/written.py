@@ -42,13 +42,22 @@ def forget_others(folder: Path, kept: Iterable[str] = ()) -> list[Path]:
     return gone
 
 
+def listed_files(folder: Path) -> list[Path]:
+    """The listed files that are there as they were written, and not by a link."""
+    return [folder / way for way, digest in _listed(folder).items() if _is_own(folder, way, digest)]
+
+
 def _removed(folder: Path, way: str, digest: str) -> bool:
+    if not _is_own(folder, way, digest):
+        return False
+    (folder / way).unlink(missing_ok=True)
+    return True
+
+
+def _is_own(folder: Path, way: str, digest: str) -> bool:
     path = folder / way
     linked = path.is_symlink() or (path.parent != folder and path.parent.is_symlink())
-    if linked or not path.is_file() or _sha256(path) != digest:
-        return False
-    path.unlink(missing_ok=True)
-    return True
+    return not linked and path.is_file() and _sha256(path) == digest
 
 
 def _listed(folder: Path) -> dict[str, str]:

@@ -363,25 +363,29 @@ def test_a_mean_over_very_different_numbers_of_samples_is_told():
     assert not any("Means of" in n for n in notices(alike))
 
 
-def test_a_criterion_that_passes_on_a_doubted_band_says_so_itself(tmp_path):
+def test_what_is_taken_of_a_doubted_band_passes_nothing_and_others_say_that_it_is(tmp_path):
+    """Coverage and E / u_val had passed, exit code 0, on a band that the page says is not to be trusted."""
     comparison = compare([MODELS["good"]], [recording(1)], repeats=0, modes=("free run",))
     entrant = dataclasses.replace(comparison.entrants[0], bands=(Band("arm_angle", "own", False, "it is too narrow."),))
     scores = tuple(dataclasses.replace(s, coverage=0.95) for s in comparison.scores)
     doubted = dataclasses.replace(comparison, entrants=(entrant,), scores=scores)
     asked = Wanted(("arm_angle.coverage in [0.9, 0.99]", "arm_angle.rmse < 9 deg", "motor_speed.rmse < 900 rpm"))
     accepted = acceptance(doubted, asked)
-    assert accepted.passed
-    cases = ElementTree.fromstring(junit(accepted, "here").partition("?>")[2]).iter("testcase")
+    assert [one.passed for one in accepted.judged] == [False, True, True]
+    cases = list(ElementTree.fromstring(junit(accepted, "here").partition("?>")[2]).iter("testcase"))
+    why = "cannot be tested, for the band of arm_angle cannot be trusted: it is too narrow."
+    assert cases[0].find("failure").text == why
     said = [case.findtext("system-out") for case in cases]
-    assert said[0] == "judged on a band that cannot be trusted: it is too narrow"
-    assert said[1] == "its band cannot be trusted: it is too narrow" and said[2] is None
+    assert said[0] is None and said[1] == "its band cannot be trusted: it is too narrow" and said[2] is None
     files = write_report(doubted, tmp_path, accepted=accepted)
     row = next(
         r for r in files["markdown"].read_text(encoding="utf-8").splitlines() if r.startswith(f"| {asked.accept[0]}")
     )
     first = acceptance_data(accepted)["acceptance"]["criteria"][0]
-    assert first["caution"] in row and first["caution"] == "judged on a band that cannot be trusted"
-    assert first["doubt"] == "it is too narrow."
+    assert first["undefined"] in row and first["undefined"] == why and not first["caution"]
+    assert first["doubt"] == "it is too narrow." and not first["passed"]
+    said = f"FAIL: good misses 1 of 3 criteria: “{asked.accept[0]}”: {why}"
+    assert said in files["markdown"].read_text(encoding="utf-8")
 
 
 def test_a_criterion_says_that_it_was_judged_in_parts_around_a_hole():

@@ -162,7 +162,7 @@ def test_a_bound_of_zero_leaves_no_share_to_tell():
     texts = ("arm_angle.rmse <= 0 deg", "arm_angle.r2 in [0, 1]", "arm_angle.mae in [0, 90] deg", "arm_angle.r2 < 0.1")
     zero, share, within, above = judged([Toy("good")], [FIRST], *texts)
     assert not zero.passed and zero.margin == -np.inf
-    assert 0 < share.margin < 0.1 and within.margin == pytest.approx(within.value / within.high)
+    assert share.margin == pytest.approx(share.value) and within.margin == pytest.approx(1 - within.value / within.high)
     found = acceptance(compare([Toy("good")], [FIRST], modes=FREE, repeats=0), Wanted((texts[0], "arm_angle.r2 > 5 %")))
     assert "not allowed at all" in acceptance_lines(found, {"arm_angle": "deg"})[1][1]
     assert above.margin < 0

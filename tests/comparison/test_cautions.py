@@ -6,10 +6,13 @@ import dataclasses
 
 import numpy as np
 
-from hydrotwin.comparison import Wanted, acceptance, compare
+from hydrotwin.comparison import Wanted, acceptance, compare, junit
+from hydrotwin.comparison.band import Band
+from hydrotwin.comparison.comparison import DomainShare, Inaccurate
 from hydrotwin.comparison.notices import notices
 from hydrotwin.records import Record
 from hydrotwin.records.sizes import made_by_few
+from hydrotwin.report.acceptance import acceptance_data, verdict
 from tests.comparison.toys import Toy, recording
 
 
@@ -91,3 +94,77 @@ def test_an_error_below_what_seems_noise_in_a_free_run_too_has_seen_no_sample():
         scores = [dataclasses.replace(s, noise=10.0, rmse=10.0 * noise[s.mode]) for s in own.scores]
         found = notices(dataclasses.replace(own, scores=tuple(scores)))
         assert any("too good to be true" in one for one in found) is said
+
+
+def test_samples_that_an_output_lacks_are_told_where_it_is_judged(tmp_path):
+    """Read with missing = "keep", a silent sensor was told as a note alone: PASS on the rest, without a word."""
+    record = recording(1)
+    silent = np.where((record.time > 2) & (record.time < 5), np.nan, record["arm_angle"])
+    found = compare([Toy("good")], [record.with_signals({"arm_angle": silent})], repeats=0, modes=("free run",))
+    texts = ("arm_angle.rmse < 9 deg", "motor_speed.rmse < 900 rpm", "fit > 1 %")
+    accepted = acceptance(found, Wanted(texts))
+    angle, speed, every = accepted.judged
+    said = "not judged on 299 of 800 samples of validation_1, where arm_angle is not known or nothing was run"
+    assert (angle.caution, speed.caution) == (said, "") and said in every.caution
+    assert said in " ".join(verdict(accepted)) and said in junit(accepted, "here")
+    assert any(said in row["caution"] for row in acceptance_data(accepted)["acceptance"]["criteria"])
+
+
+def test_a_slower_sensor_lacks_no_samples():
+    record = recording(1)
+    slow = record.with_signals({"arm_angle": np.where(np.arange(len(record)) % 4 == 0, record["arm_angle"], np.nan)})
+    found = compare([Toy("good")], [slow], repeats=0, modes=("free run",))
+    assert not acceptance(found, Wanted(("arm_angle.rmse < 9 deg",))).judged[0].caution
+
+
+def test_a_bound_that_the_metric_cannot_pass_is_none():
+    """``theil in [0, 10] %`` named the best output as the worst, and its caution was lost."""
+    record = recording(1)
+    silent = record.with_signals({"pressure_cap": np.where(record.time > 4, np.nan, record["pressure_cap"])})
+    found = compare([Toy("soft", stiffness=3.6e6)], [silent], repeats=0, modes=("free run",))
+    texts = ("theil in [0, 10] %", "theil <= 10 %", "arm_angle.mae in [0, 1] rad", "arm_angle.fit in [90, 100] %")
+    ranged, plain, error, share = acceptance(found, Wanted(texts)).judged
+    assert ranged.criterion.output == plain.criterion.output == "pressure_cap"
+    assert ranged.margin == plain.margin and ranged.caution == plain.caution != ""
+    assert np.isclose(error.margin, 1 - error.value) and np.isclose(share.margin, share.value / 0.9 - 1)
+
+
+def test_what_is_known_of_the_runs_stands_in_the_criterion_too():
+    """Inaccurate runs, a training that is left, a sensor that sets nothing, a recording in two files: notices alone."""
+    record = recording(1)
+    slow = record.with_signals({"arm_angle": np.where(np.arange(len(record)) % 4 == 0, record["arm_angle"], np.nan)})
+    again = dataclasses.replace(recording(1, name="again"), digest="2")
+    asked = Wanted(("arm_angle.rmse < 9 deg", "motor_speed.max < 900 rpm"))
+    ahead = compare([Toy("good")], [slow], repeats=0, modes=("one step", "free run"))
+    assert "so that this is its free run" in acceptance(ahead, asked).judged[0].caution
+    twice = compare([Toy("good")], [record, again], repeats=0, modes=("free run",))
+    mean, largest = acceptance(twice, asked).judged
+    assert "again is validation_1, and counts twice" in mean.caution and not largest.caution
+    told = dataclasses.replace(
+        compare([Toy("good")], [record], repeats=0, modes=("free run",)),
+        inaccurate=(Inaccurate("good", record.name, "off"),),
+        domains=(DomainShare("good", record.name, 70.0, 0.5, ("command",), "model"),),
+    )
+    (one, _) = acceptance(told, asked).judged
+    assert "are not those of its equations" in one.caution and "good extrapolates on validation_1" in one.caution
+
+
+def test_a_band_that_does_not_hold_is_no_measure_for_another():
+    good, other = Toy("good"), Toy("other")
+    comparison = compare([good, other], [recording(1)], repeats=0, modes=("free run",))
+    bands = [Band("arm_angle", "own", trusted, "it is too narrow.") for trusted in (True, False)]
+    entrants = tuple(dataclasses.replace(e, bands=(b,)) for e, b in zip(comparison.entrants, bands, strict=True))
+    scores = tuple(dataclasses.replace(s, vv20=2.0) for s in comparison.scores)
+    known = dataclasses.replace(comparison, entrants=entrants, scores=scores)
+    (one,) = acceptance(known, Wanted(("arm_angle.vv20 not worse than other",))).judged
+    assert not one.passed and one.undefined.startswith("other is no measure, its band cannot be trusted")
+
+
+def test_a_band_that_nothing_was_held_against_is_told_where_it_counts():
+    comparison = compare([Toy("good")], [recording(1)], repeats=0, modes=("free run",))
+    bands = (Band("arm_angle", "own", None, "it was judged on nothing that was held out"),)
+    scores = tuple(dataclasses.replace(s, vv20=0.5) for s in comparison.scores)
+    entrants = (dataclasses.replace(comparison.entrants[0], bands=bands),)
+    known = dataclasses.replace(comparison, entrants=entrants, scores=scores)
+    band, other = acceptance(known, Wanted(("arm_angle.vv20 < 2", "arm_angle.rmse < 9 deg"))).judged
+    assert band.passed and "it was judged on nothing that was held out" in band.caution and not other.caution

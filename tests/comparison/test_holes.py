@@ -190,7 +190,7 @@ def test_a_criterion_says_what_it_was_not_judged_on():
     scraps = [(5.0 + k, 5.7 + k) for k in range(5)]
     found = compared(without(recorded(drive(), 1, noise=NOISE), *scraps, name="run"))
     (one,) = acceptance(found, Wanted(("position.rmse < 1 m",))).judged
-    assert not one.holes and "not judged on 79 of 330 samples of run, in or between holes" in one.caution
+    assert not one.holes and "not judged on 79 of 330 samples of run, where position is not known" in one.caution
 
 
 def test_a_run_that_cannot_be_told_where_it_goes_on_says_that_it_begins_there():

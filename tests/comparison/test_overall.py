@@ -99,7 +99,7 @@ def test_an_output_that_one_recording_lacks_is_told_though_another_is_the_worst(
     toy = NoStart("toy", outputs=(ANGLE, PRESSURE), stiffness=1e6)
     found = compare([toy], [FIRST, lacking], modes=["free run"], repeats=0)
     one = judged(found, "fit > 1 %", "toy")
-    assert one.criterion.output == "pressure_cap" and f"arm_angle was not judged on {SECOND.name}" in one.caution
+    assert one.criterion.output == "pressure_cap" and f"of arm_angle: not judged on {SECOND.name}" in one.caution
 
 
 class NoStart(Toy):

@@ -8,11 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import Tags, read_scenario
+from hydrotwin.comparison import Tags, Wanted, acceptance, compare, read_scenario
 from hydrotwin.comparison.running import read_all
 from hydrotwin.comparison.tags import check_tags, of_group
 from hydrotwin.models.language.errors import DataError, DeclarationError, UnitError
 from hydrotwin.records import read_record
+from tests.comparison.toys import Toy
+from tests.comparison.toys import recording as toy
 
 LINES = ["time [s],load_mass [kg],oil [°C],rig,shift,noise [V]", "0,20.5,38.9,A 1,2,0.1", "0.1,20.5,41.2,A 1,2,-0.2",
          "0.2,20.5,40.3,A 1,2,0.0"]  # fmt: skip
@@ -237,3 +239,16 @@ def test_serial_numbers_that_differ_late_are_two_conditions(recording):
     told = [replace(recording[0], name=v, tags={"serial": v}) for v in ("123456789012345", "123456789012346")]
     check_tags(told)
     assert of_group(told, "serial=123456789012345") == ("123456789012345",)
+
+
+def test_a_recording_that_is_called_like_a_tag_of_others_does_not_join_them():
+    """``load=2`` had been judged on load=2.csv, too, whose load is 3; so had every table of the tag."""
+    named, other = replace(toy(1, name="load=2"), tags={"load": "3"}), replace(toy(2), tags={"load": "2"})
+    assert of_group([named, other], "load=2") == of_group([named, other], "load=2.0") == (other.name,)
+    assert of_group([named], "load=2") == ("load=2",)
+    found = compare([Toy("good")], [named, other], repeats=0, modes=("free run",))
+    with pytest.raises(DeclarationError, match="load=2 is the name of one recording and a tag of validation_2"):
+        acceptance(found, Wanted(("load=2: arm_angle.rmse < 9 deg",)))
+    alike = compare([Toy("good")], [replace(named, tags={"load": "2"}), other], repeats=0, modes=("free run",))
+    (one,) = acceptance(alike, Wanted(("load=2: arm_angle.rmse < 9 deg",))).judged
+    assert one.samples == len(named) + len(other)  # the condition, of which it is

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
@@ -21,10 +22,10 @@ def test_a_server_does_not_read_an_old_pass_where_no_model_could_run(recordings,
     assert answer.code == 1 and "no model could be scored" in answer.said
     (case,) = ElementTree.parse(file).getroot()[0].iter("testcase")
     assert case.get("name") == TOO_TIGHT and "could not be integrated" in case.find("failure").text
-    assert "is of an earlier run" not in answer.said
+    assert "of an earlier run" not in answer.said
     assert hydrotwin(*words[:-2], "--out", tmp_path / "out").code == 0
     answer = hydrotwin(*words, "--out", tmp_path / "out", "--scale", "command=1e6")
-    assert answer.code == 1 and "out is of an earlier run" in answer.said.replace("\n", " ")
+    assert answer.code == 1 and "The report of an earlier run is in" in answer.said
 
 
 def test_a_run_that_ends_without_a_verdict_leaves_none_of_an_earlier_one(recordings, tmp_path):
@@ -35,7 +36,40 @@ def test_a_run_that_ends_without_a_verdict_leaves_none_of_an_earlier_one(recordi
     lost = tmp_path / "lost.csv"
     text = (recordings / "validate_1.csv").read_text(encoding="utf-8")
     lost.write_text(text.replace("command", "valve", 1), encoding="utf-8")
-    assert hydrotwin(*words, "--validate", lost, "--junit", file).code == 2 and not file.exists()
+    before = {p.name: p.read_bytes() for p in (tmp_path / "out").iterdir() if p.suffix in (".json", ".md", ".html")}
+    for way in (
+        ("--validate", lost),
+        ("--validate", lost, "--output", "nothing"),
+        ("--validate", tmp_path / "gone.csv"),
+    ):
+        answer = hydrotwin(*words, *way, "--junit", file)
+        assert answer.code == 2 and not file.exists()
+        assert not (tmp_path / "out" / "compare.json").exists() and "The report of an earlier run is in" in answer.said
+        aside = tmp_path / "out" / "earlier_answer"
+        assert {p.name: p.read_bytes() for p in aside.iterdir() if p.name in before} == before  # nothing is lost
+    against = ("--against", tmp_path / "out" / "compare.json")  # what was put aside is still the reference
+    answer = hydrotwin(*words, "--validate", recordings / "validate_1.csv", *against)
+    assert answer.code == 0 and "As before" in answer.said and (tmp_path / "out" / "compare.json").exists()
+    assert not aside.exists()
+
+
+def test_pages_of_variants_and_criteria_in_the_folder_are_put_aside_with_their_report(recordings, tmp_path):
+    file, out = tmp_path / "s.toml", tmp_path / "out"
+    text = (
+        f'models = ["cehA"]\nvalidate = ["{(recordings / "validate_1.csv").as_posix()}"]\nmodes = ["free run"]\n'
+        'outputs = ["arm_angle"]\naccept = ["arm_angle.rmse < 90 deg"]\n[variants.fine]\nstep = 0.0005\n'
+    )
+    file.write_text(text, encoding="utf-8")
+    words = ("compare", file, "--out", out, "--junit", out / "criteria.xml")
+    assert hydrotwin(*words).code == 0
+    (out / "own.txt").write_text("mine", encoding="utf-8")
+    made = {p.relative_to(out) for p in out.rglob("*") if p.suffix in (".json", ".html", ".xml", ".md")}
+    file.write_text(text.replace("arm_angle.rmse", "arm_angel.rmse"), encoding="utf-8")
+    assert hydrotwin(*words).code == 2
+    left = {p.relative_to(out) for p in out.rglob("*") if p.suffix in (".json", ".html", ".xml", ".md", ".txt")}
+    aside = {p.relative_to("earlier_answer") for p in left if p.parts[0] == "earlier_answer"}
+    assert made <= aside | {Path(".written.json")} and (out / "own.txt").exists()
+    assert not {p for p in left if p.parts[0] != "earlier_answer"} - {Path("own.txt"), Path(".written.json")}
 
 
 def test_a_file_of_a_criterion_is_looked_for_where_the_command_is_given(recordings, tmp_path, monkeypatch):

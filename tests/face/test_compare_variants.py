@@ -77,7 +77,7 @@ def test_the_overview_links_the_pages_and_puts_the_worst_first(written):
     assert "[slow motor](slow_motor/report.html)" in (written[1] / "report.md").read_text(encoding="utf-8")
 
 
-def test_a_second_call_makes_no_run_and_gives_the_same_numbers(written, folder, monkeypatch):
+def test_a_second_call_makes_no_run_and_gives_the_same_numbers(written, folder, monkeypatch, tmp_path):
     before = json.loads((written[1] / "compare.json").read_text(encoding="utf-8"))
 
     def never(*_):
@@ -89,8 +89,9 @@ def test_a_second_call_makes_no_run_and_gives_the_same_numbers(written, folder, 
     after = json.loads(answer.out)
     for key in ("scores", "means", "residuals", "variants", "acceptance"):
         assert after[key] == before[key]
+    shutil.copytree(written[1], tmp_path / "out")
     with pytest.raises(AssertionError, match="made again"):
-        hydrotwin("compare", folder / "scenario.toml", "--out", folder / "out", "--executor", "here", "--fresh")
+        hydrotwin("compare", folder / "scenario.toml", "--out", tmp_path / "out", "--executor", "here", "--fresh")
 
 
 NO_DASK = "'distributed' is missing. Install it: pip install 'hydrotwin[cluster]'"

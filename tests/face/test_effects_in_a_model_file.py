@@ -12,6 +12,7 @@ import hydrotwin as ht
 from hydrotwin.models import cehA, spool_valve
 from hydrotwin.models.effects import CATALOGUE, add_effect, candidates
 from hydrotwin.models.language import DeclarationError
+from hydrotwin.models.language.equations import equations_digest
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.model_file import read_model_file
 from tests.face.command_line import hydrotwin
@@ -47,6 +48,7 @@ def same_equations(one, other) -> None:
         p.name: (p.value, p.unit, p.bounds, p.free) for p in b.parameters
     }
     assert [i.dead_time for i in a.inputs] == [i.dead_time for i in b.inputs]
+    assert equations_digest(a) == equations_digest(b) != ""
     random = np.random.default_rng(7)
     nominal = np.array([s.nominal for s in a.states])
     for _ in range(3):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
+import warnings
 
 import numpy as np
 import pytest
 
 import hydrotwin as ht
 from hydrotwin.comparison import Wanted, acceptance, replay
+from hydrotwin.models.language.credibility import StaleEvidenceWarning
 from hydrotwin.records import Record, write_record
 from tests.face.command_line import hydrotwin
 
@@ -151,3 +154,48 @@ def test_a_comparison_from_python_says_itself_how_it_was_asked(folder, tmp_path)
     found = ht.compare([model], [ht.read_record(folder / "run.csv")], modes=["free run"], **asked)
     ht.record_comparison(file, found, acceptance(found, Wanted(("position.rate.rmse < 1 m/s",))))
     assert all(row.passed for row in replay(file, model))
+
+
+def test_of_equations_that_were_edited_under_the_values_of_a_fit_no_band_is_told(folder, tmp_path):
+    """`compare` had trusted the band: only --replay noticed that a force acts twice now."""
+    run, values = folder / "run.csv", tmp_path / "m.toml"
+    values.write_bytes((folder / "m.toml").read_bytes())
+    code, model = tmp_path / "rig.py", f"{tmp_path}/rig.py:slide@{values}"
+    code.write_text(CODE, encoding="utf-8")
+    words = ("compare", "--model", model, "--validate", run, "--output", "position", "--mode", "free run")
+    band = ("--accept", "position.coverage in [0, 99.9] %")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", StaleEvidenceWarning)
+        assert ht.load(model).provenance["spread"]
+    assert hydrotwin(*words, "--out", tmp_path / "a", "--accept", "position.rmse < 1 m", "--record", values).code == 0
+    assert hydrotwin("check", model).code == 0
+    code.write_text(CODE.replace("Viscous(viscous=200.0)", "Viscous(viscous=201.0)"), encoding="utf-8")
+    assert hydrotwin("check", model).code == 0, "a value of the code that the file holds is no equation"
+    code.write_text(CODE.replace("self.position == self", "self.position == 1.5 * self"), encoding="utf-8")
+    with pytest.warns(StaleEvidenceWarning, match="equations are others than its values were fitted to"):
+        edited = ht.load(model)
+    assert "spread" not in edited.provenance and all(p.sigma is None for p in edited.flat.parameters)
+    answer = hydrotwin(*words, "--out", tmp_path / "b", *band)
+    assert answer.code == 2 and "has no band of position" in answer.said
+    answer = hydrotwin(*words, "--out", tmp_path / "b")
+    told = json.loads((tmp_path / "b" / "compare.json").read_text(encoding="utf-8"))
+    assert answer.code == 0 and any("its equations are others than" in n for n in told["notices"])
+    assert not told["models"][0]["bands"]
+    answer = hydrotwin("check", model)
+    assert answer.code == 1 and "STALE" in answer.said and "equations are others" in answer.said
+    answer = hydrotwin(*words, "--out", tmp_path / "b", "--record", values)
+    assert answer.code == 2 and "Identify the model again" in answer.said
+    old = values.read_text(encoding="utf-8")
+    values.write_text(re.sub(r"(?m)^equations = .*\n", "", old), encoding="utf-8")
+    assert ht.load(model).provenance["spread"], "a file of before goes by what it says"
+
+
+def test_the_record_of_a_comparison_without_criteria_says_which_samples_nobody_knows(folder, tmp_path):
+    values = tmp_path / "m.toml"
+    values.write_bytes((folder / "m.toml").read_bytes())
+    record = ht.read_record(folder / "run.csv")
+    silent = record.with_signals({"position": np.where(record.time > 1.5, np.nan, record["position"])})
+    model = ht.load(f"{folder}/rig.py:slide@{values}")
+    found = ht.compare([model], [silent], modes=["free run"], outputs=["position"], repeats=0)
+    told = ht.record_comparison(values, found).evidence[-1].told
+    assert "no criteria" in told and "not judged: position on 49 of 200 samples of run, not known" in told

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hydrotwin.identification.evidence import MODE, ROLES
+from hydrotwin.identification.evidence import MODE, ROLES, names_of
 from hydrotwin.models.language.credibility import FIT, GAP, JUDGE, Evidence, now, recording_rows, versions
-from hydrotwin.records import Record
+from hydrotwin.records import Record, row_of
 
 from .discovery import Discovery
 
@@ -25,7 +25,7 @@ def evidence_of_gap(found: Discovery, train: Sequence[Record], judged: Sequence[
     effects = [{"effect": s.effect, "site": s.site, "probability": float(s.probability)} for s in found.steps]
     return Evidence(
         GAP, now(), "", versions(),
-        (*recording_rows(train, FIT), *recording_rows(judged, JUDGE)),
+        (*(row_of(r, names_of(found.model.flat), FIT) for r in train), *recording_rows(judged, JUDGE)),
         tuple(metrics),
         accuracy=accuracy.as_data() if accuracy else {},
         facts={"verdict": found.verdict, "effects": effects},

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
@@ -78,12 +78,14 @@ def _meant(name: str, known: Sequence[str]) -> list[str]:
 def accepted(asked: Sequence, block, silent: bool) -> bool:
     """Whether every criterion holds of the block's card, what was held out of its making; each is said."""
     from hydrotwin.comparison import judge, worst
+    from hydrotwin.learned.bands import known_bands
     from hydrotwin.learned.report_card import card_of
     from hydrotwin.report.acceptance import found_told, margin_told
 
     card, good = card_of(block), True
+    doubts = {name: band.says for name, band in known_bands(block.provenance).items() if not band.trustworthy}
     for many in asked:
-        found = worst([judge(one, _Card(one.text, card)) for one in many])
+        found = worst([replace(judge(one, _Card(one.text, card)), doubt=doubts.get(one.output, "")) for one in many])
         good &= found.passed
         if not silent:
             word, style = ("PASS", "green") if found.passed else ("FAIL", "red")

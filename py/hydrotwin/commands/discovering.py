@@ -199,7 +199,7 @@ def telling(name: str, silent: bool):
 
 def check_recordings(thing, train: list[Record], judged: list[Record], said: Collection[str] = ()) -> None:
     """Every recording has the inputs of the model, and none judges what it taught; unknown columns are told."""
-    from hydrotwin.discovery.recordings import require_unseen
+    from hydrotwin.records import require_unseen
 
     flat = thing.flat
     for record in (*train, *judged):

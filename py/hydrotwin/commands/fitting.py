@@ -11,10 +11,11 @@ from typing import Annotated
 import typer
 
 from hydrotwin import __version__
+from hydrotwin.models.language.credibility import recording_rows
 from hydrotwin.models.language.model_file import write_model_file
-from hydrotwin.models.language.provenance import of_earlier_fits
+from hydrotwin.models.language.provenance import TRAIN, of_earlier_fits
 from hydrotwin.models.language.quantities import Wanted, in_unit, wanted
-from hydrotwin.records import Reading, Record, require
+from hydrotwin.records import Reading, Record, require, row_of
 from hydrotwin.records.between import between
 
 from ..loading import origin
@@ -142,13 +143,16 @@ def unmeasured_starts(fit) -> dict[str, dict[str, float]]:
 
 def fit_provenance(fit, train: list[Record], judged: list[Record]) -> dict:
     """What the model file says about its making."""
-    roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
+    from hydrotwin.identification.evidence import names_of
+
+    names = names_of(fit.flat)
     return {
         "made_by": f"hydrotwin {__version__}",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         **fit.flat.provenance,
         "recordings": [
-            *({"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles),
+            *(row_of(r, names, TRAIN) for r in train),
+            *recording_rows(judged, "validate"),
             *of_earlier_fits(fit.flat.provenance),
         ],
     }

@@ -5,13 +5,16 @@ Which model of a comparison a file holds is told before anything runs.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
+from hydrotwin.models.language.credibility import StaleEvidenceWarning
 from hydrotwin.models.language.errors import DataError, DeclarationError
-from hydrotwin.models.language.model_file import read_model_file
+from hydrotwin.models.language.model_file import ModelFile, read_model_file
 from hydrotwin.models.language.parameter_file import read_toml
+from hydrotwin.models.language.provenance import OTHERS
 
 from ..loading import load, values_file
 from .shared import check_writable, out, print_json, table
@@ -93,19 +96,23 @@ def tell_evidence(model: str, as_json: bool, again: Sequence[Path] | None = None
     file = _model_file(path)
     made = None if again is None else _made_again(path, model, again)
     evidence = file.credibility.evidence
-    rows = [{"holds": one.contents == file.contents, "passed": one.passed, "told": one.told} for one in evidence]
+    others = _other_equations(model, file)
+    rows = [
+        {"holds": one.contents == file.contents and not others, "passed": one.passed, "told": one.told}
+        for one in evidence
+    ]
     good = all(row["holds"] and row["passed"] is not False for row in rows)
     if as_json:
         data = [one.as_data() | row for one, row in zip(evidence, rows, strict=True)]
         more = {} if made is None else {"again": [asdict(one) for one in made]}
         good &= _all_same(made)
-        print_json({"model": str(path), "passed": good, "stale": file.stale, "evidence": data, **more})
+        print_json({"model": str(path), "passed": good, "stale": file.stale or others, "evidence": data, **more})
         return good
     none = [[NOTHING, "no record is inside. Write one: hydrotwin compare --model FILE --validate REC --record FILE."]]
     told = [[HOLDS if row["holds"] else STALE, row["told"]] for row in rows]
     table(str(path), ["", "record"], told or none)
-    if file.stale:
-        out.print(file.stale)
+    if told := file.stale or others:
+        out.print(told)
     if made is not None:
         out.print()
         heads = ["", "recorded", "number", "then", "now", "unit", ""]
@@ -119,6 +126,17 @@ def tell_evidence(model: str, as_json: bool, again: Sequence[Path] | None = None
         tried = f"{same} of {len(made) - untried} numbers are the same.{left}"
         out.print(tried if same else f"Nothing could be confirmed.{left}")
     return good and _all_same(made)
+
+
+def _other_equations(model: str, file: ModelFile) -> str:
+    """That the equations are others than the values of a file were fitted to, in a sentence; "" where they are those,
+    or are the code of a user, which is not named and which a file may not start."""
+    if ".py:" in file.model and "@" not in model:
+        return ""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", StaleEvidenceWarning)
+        load(model)
+    return next((str(w.message) for w in caught if OTHERS in str(w.message)), "")
 
 
 def _file_of(model: str) -> Path:

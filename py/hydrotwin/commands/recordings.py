@@ -100,7 +100,7 @@ def told_in(reading: Reading | None) -> list[str]:
 def read_all(paths: Sequence[Path] | None, reading: Reading | None = None) -> list[Record]:
     """Read recordings, and tell of them what `tell_read` does."""
     records = [read_record(path, reading) for path in paths or []]
-    require_once(records)
+    require_once(records, samples=True)
     tell_read(records)
     return records
 

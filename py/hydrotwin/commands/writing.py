@@ -80,16 +80,21 @@ def _marked(page):
 def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
     """What the model file says about its making."""
     from hydrotwin.identification.bands import Spread
-    from hydrotwin.models.language.provenance import SPREAD, of_earlier_fits
+    from hydrotwin.identification.evidence import names_of
+    from hydrotwin.models.language.credibility import recording_rows
+    from hydrotwin.models.language.equations import equations_digest
+    from hydrotwin.models.language.provenance import EQUATIONS, SPREAD, TRAIN, of_earlier_fits
+    from hydrotwin.records import row_of
 
-    roles = [(r, "train") for r in train] + [(r, "validate") for r in judged]
+    names = names_of(found.model.flat)
     fitted = getattr(found.fit_after, "covariance", None) is not None
     steps = [{"effect": s.effect, "site": s.site, "probability": float(s.probability)} for s in found.steps]
     return {
         "made_by": f"hydrotwin {__version__}",
         "date": datetime.now().astimezone().isoformat(timespec="seconds"),
         "recordings": [
-            *({"name": r.name, "role": role, "sha256": r.digest or ""} for r, role in roles),
+            *(row_of(r, names, TRAIN) for r in train),
+            *recording_rows(judged, "validate"),
             *of_earlier_fits(found.model.provenance),
         ],
         **({"fmu": {"sha256": sha256_of(Path(found.model.fmu.path))}} if hasattr(found.model, "fmu") else {}),
@@ -98,6 +103,7 @@ def gap_provenance(found, train: list[Record], judged: list[Record]) -> dict:
         "noise": dict(found.noise),
         "rmse": {role: {o.output: o.rmse_after for o in rows} for role, rows in found.outputs.items()},
         "findings": [str(f) for f in found.findings],
+        EQUATIONS: equations_digest(found.model.flat),
         **({SPREAD: Spread.of(found.fit_after).told()} if fitted else {}),
     }
 

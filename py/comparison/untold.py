@@ -1,0 +1,77 @@
+"""Whether a start that nobody measured, gave or estimated makes most of an error: the model starts there as it thinks.
+
+To first order an error e of the first part of a run is that of a start which is off by dx where e = Z dx, Z = dy/dx0 of
+the states that no sample tells. A run from there shows whether it is: where that leaves less than a third of the error,
+the recording says more of where it began than of the model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hydrotwin.identification.descent import BEGINNING, FEWEST_SAMPLES
+from hydrotwin.models.language.errors import HydrotwinError
+from hydrotwin.records import NoiseFloor, Record
+from hydrotwin.simulation import prepare
+from hydrotwin.simulation.simulate import inputs_of, since_start, started
+
+LEFT = 1 / 3  # of the error: a start elsewhere that leaves less matters; for a wrong model it seldom makes up so far
+NOISES = 3.0  # of the sensor: what an error must be before anybody asks where it comes from
+STEP = 1e-2  # of its nominal, by which a start state is moved for a derivative
+
+
+def untold_start(
+    contender, record: Record, predicted: Mapping[str, np.ndarray], noise: Mapping[str, NoiseFloor]
+) -> str:
+    """What is to be told of a start that no sample tells, of a free run as it was ``predicted``; "" where it does not
+    matter, and of a model without equations.
+
+    predicted : outputs (n,) at the times of the recording; noise : of its columns.
+    """
+    if not hasattr(contender, "untold_starts") or not hasattr(contender, "flat") or contender.flat.black_box:
+        return ""
+    names, count = contender.untold_starts(record), max(FEWEST_SAMPLES, int(BEGINNING * len(record)))
+    sizes = {n: _size(record[n][:count] - y[:count], noise[n].white) for n, y in predicted.items() if n in noise}
+    sizes = {n: size for n, size in sizes.items() if size}
+    if not names or not sizes or len(record) < FEWEST_SAMPLES:
+        return ""
+    try:
+        left = _left(contender, record.window(end=record.time[count - 1]), names, sizes)
+    except HydrotwinError:  # from there it does not run
+        return ""
+    if not left < LEFT:
+        return ""
+    return (
+        f"no sample tells where {' and '.join(names)} began, and from another start less than a third of its error in "
+        "the first part is left"
+    )
+
+
+def _size(miss: np.ndarray, noise: float) -> float:
+    """The rms of an error; 0 where it is no more than noise."""
+    known = miss[np.isfinite(miss)]
+    rms = float(np.sqrt(np.mean(known**2))) if len(known) else 0.0
+    return rms if rms > NOISES * noise else 0.0
+
+
+def _left(contender, part: Record, names: list[str], sizes: Mapping[str, float]) -> float:
+    """The share of the error, in ``sizes`` of its outputs, that the best start of the states ``names`` leaves."""
+    flat, p = contender.flat, contender.flat.parameter_vector()
+    at = [k for k, s in enumerate(flat.states) if s.name in names]
+    columns = {s.name: k for k, s in enumerate(flat.outputs) if s.name in sizes}
+    u, propagator = inputs_of(flat, part), prepare(flat, **contender.how)
+    x0 = started(flat, part, u, p, contender.start_of(part))
+
+    def misses(x: np.ndarray) -> np.ndarray:
+        y = propagator.run(since_start(part), u, p, x)[0]
+        return np.concatenate([(part[n] - y[:, k]) / sizes[n] for n, k in columns.items()])
+
+    now = misses(x0)
+    steps = [np.eye(len(x0))[k] * STEP * flat.states[k].nominal for k in at]
+    slopes = np.column_stack([now - misses(x0 + step) for step in steps])
+    known = np.isfinite(now)
+    moved = np.linalg.lstsq(slopes[known], now[known], rcond=None)[0]
+    then = misses(x0 + sum(m * step for m, step in zip(moved, steps, strict=True)))
+    return float(np.sqrt(np.mean(then[known] ** 2) / np.mean(now[known] ** 2)))

@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[2]
 QUICK = {"payload_error at arm.extra_mass", "structural_compliance at cylinder.rod"}  # of cehA, not of the proof alone
 SECONDS = 3.0
 NOISE = 1e-4  # of the range of every output
+POSITIONS = {"cehA": "rod_position", "spool_valve": "position"}  # along which loads and brakes engage
 
 
 @cache
@@ -59,6 +60,9 @@ def test_every_effect_is_identified_by_name_or_it_is_said_what_cannot_be_told(na
     except TopologyError as refused:  # a pump that gives its flow at any pressure, and nothing that feels the loss
         assert "changes nothing" in str(refused)
         return
+    if place := next((n for n in probe if n.endswith(".start")), None):
+        seen = simulated(model, name, {}).signals[POSITIONS[name]]
+        probe[place] = float(np.mean(seen))  # elsewhere nothing engages in these seconds
     record = simulated(model, name, probe)
     outputs = [o.name for o in model.flat.outputs][:5]
     fit = identify(model, [record], free=list(candidate.free), outputs=outputs, weights="noise", starts=6)

@@ -80,3 +80,11 @@ def test_what_explains_all_in_windows_is_fitted_before_others_are_looked_at():
     at = next(i for i, j in enumerate(asked) if not j.stages)
     assert "null_bias" in asked[at].label and "null_bias" in asked[at - 1].label
     assert len(asked) == at + 1, "that explains all"
+
+
+def test_what_leaves_clearly_less_than_all_before_it_is_fitted_at_once():
+    _, asked = grown({"viscous_friction": 0.03, "dead_time": 0.01, "null_bias": 0.001}, batch=1)
+    order = [("look" if j.stages else "fit", j.label) for j in asked[1:]]
+    names = [(what, next(n for n in ("dead", "viscous", "null") if n in label)) for what, label in order]
+    assert names[:3] == [("look", "dead"), ("fit", "dead"), ("look", "viscous")]
+    assert names[3:] == [("look", "null"), ("fit", "null"), ("fit", "viscous")], "what leaves more waits"

@@ -64,25 +64,30 @@ class Growth:
     def _in_windows(self, best: Entry, first: int) -> bool:
         """Fit what leaves clearly less beside the best in windows along the best's own course; whether anything does.
 
-        What explains all there is fitted as soon as it is seen.
+        What leaves clearly less than all before it is fitted as soon as it is seen.
         """
         table, jobs = self.table, self.jobs
         along = self._course(best, first)
         if not along:
             return False
-        enough, found, tried = EARLY * table.promise(Entry(best.members, look=along)), [], 0
+        level = enough = EARLY * table.promise(Entry(best.members, look=along))
+        found, fitted = [], []
         others = [table.possible((*best.members, c)) for c in promising(table, first) if c not in best.members]
         others = [e for e in others if compatible(e.members) and table.usable(e)]
         for batch in batches(others, self.batch):
             for entry, look in zip(batch, self.run([jobs.grown(e, best, along) for e in batch]), strict=True):
                 entry.look = look if isinstance(look, Look) else None
-                found += [entry] if entry.look and table.promise(entry) < enough else []
-            if any(table.promise(e) < SAME for e in found[tried:]):
-                self._fit_seen(best, found[tried:])
-                tried = len(found)
+            seen = [e for e in batch if e.look and table.promise(e) < enough]
+            found += seen
+            least = min((table.promise(e) for e in seen), default=level)
+            if least < level:
+                level = EARLY * least
+                alike = [e for e in seen if table.promise(e) < SAME + least]
+                self._fit_seen(best, alike)
+                fitted += alike
             if table.explained():
                 return True
-        self._fit_seen(best, found[tried:])
+        self._fit_seen(best, [e for e in found if e not in fitted])
         return bool(found)
 
     def _course(self, best: Entry, first: int) -> Look | None:

@@ -14,7 +14,7 @@ from hydrotwin.simulation.stops import Diverged
 
 from .held_out import Part, through
 from .learning import PUBLISHED, held_out_of, trainer, unbroken_for
-from .validation import validated
+from .validation import beside, validated
 
 REFITTED = "Then it was trained again on all recordings: the figures are those of the block that had not seen all."
 KEPT = "Trained again on all recordings, it ran worse over what had been held out: the block as it was judged is kept."
@@ -73,7 +73,8 @@ def refitted(
     if worse:
         return replace(block, provenance={**block.provenance, "free_run": told})
     kept = {key: block.provenance[key] for key in ("ranking", "chosen_on") if key in block.provenance}
-    return validated(replace(again, provenance={**again.provenance, **kept, "free_run": told}), validate)
+    again = replace(again, provenance={**again.provenance, **kept, "free_run": told})
+    return validated(again, validate, beside=beside(block, validate))
 
 
 def _trained_on(block: Block) -> Callable[..., Block]:

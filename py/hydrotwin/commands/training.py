@@ -131,7 +131,7 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
     from hydrotwin.learned import write_block, write_hybrid
     from hydrotwin.learned.interruption import INTERRUPTED
     from hydrotwin.learned.report_card import card_of
-    from hydrotwin.learned.validation import sentence
+    from hydrotwin.learned.validation import doubts, sentence
 
     output.parent.mkdir(parents=True, exist_ok=True)
     files = write_hybrid(block, output, model) if model else write_block(block, output)
@@ -140,11 +140,12 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
     run = card_of(block)
     if as_json:
         told = {key: run[key] for key in ("says", "no_better_than") if key in run}
+        told |= {"validation_says": judged} if (judged := sentence(block)) else {}
         told |= {"block": block.name, "files": [str(f) for f in files], "period": block.period}
         print_json(told | block.provenance)
         return
-    if run:
-        mark(out, "careful:" if run["bad"] else "checked:", run["says"], "red" if run["bad"] else "green")
-    if judged := sentence(block):
-        out.print(judged)
+    said = [(bool(run["bad"]), run["says"])] if run else []
+    said += [(bool(doubts(block)), judged)] if (judged := sentence(block)) else []
+    for bad, words in sorted(said, key=lambda one: not one[0]):  # bad news first, whoever tells it
+        mark(out, "careful:" if bad else "checked:", words, "red" if bad else "green")
     out.print(f"{block.name}: {block.description}, period {block.period:g} s. Written: {', '.join(map(str, files))}")

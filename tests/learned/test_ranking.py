@@ -174,6 +174,19 @@ def test_what_runs_worse_over_what_it_has_seen_is_not_kept(best, records):
     assert again.provenance["free_run"]["refitted"] is False
 
 
+def test_a_training_on_all_recordings_that_a_budget_cut_says_so_first(records, monkeypatch):
+    """The card is that of the training before, which nothing had cut."""
+    block, cut = learn("piecewise", records, INPUTS, OUTPUTS), "time budget of 5 s"
+
+    def training(*given, **options):
+        found = learn_piecewise(*given, **options)
+        return replace(found, provenance={**found.provenance, "stopped": cut})
+
+    monkeypatch.setattr(refit, "trainer", lambda *_: training)
+    card = refitted(block, "piecewise", records, INPUTS, OUTPUTS).provenance["free_run"]
+    assert card["refitted"] and card["bad"] and card["says"].startswith(refit.CUT.format(why=cut))
+
+
 def test_a_budget_is_that_of_all_trials_together_and_says_what_it_cut(records, monkeypatch):
     """The machine may be busy: what is held is the clock, not what is reached within it."""
     slow = [toy_record(k, 40.0) for k in range(5)]

@@ -19,7 +19,7 @@ from .verdicts import BETTER
 ERRORS, RECORDINGS = "validation", "validated_on"  # keys of the provenance
 BESIDE, BEYOND = "validation_beside", "validation_beyond"
 FIRST = "holding the first sample"  # the yardstick of a run that begins where the recording does
-OUTSIDE = 0.01  # share of the samples outside of what a block was trained on, from which on it is told
+OUTSIDE, FAR = 0.01, 0.1  # share of samples outside of what was trained on: from which on it is told, and is bad news
 Run = Callable[[Record], Record]
 
 
@@ -120,22 +120,13 @@ def no_better_than(block: Block) -> dict[str, list[str]]:
     return {output: names for output, names in found.items() if names}
 
 
-def doubts(block: Block) -> str:
-    """What the recordings to validate with say against a block, in a sentence or two; "" where nothing."""
-    worse, beyond = no_better_than(block), block.provenance.get(BEYOND)
-    words = [f"of {name} the block is no better than {' or '.join(than)}" for name, than in worse.items()]
-    told = [f"On what it was to be validated with, {', and '.join(words)}."] if words else []
-    if beyond:
-        share, names = 100 * beyond["share"], beyond["signals"]
-        told.append(
-            f"It extrapolates in {share:.3g} % of what it was to be validated with: {' and '.join(names)} "
-            f"leave{'' if len(names) > 1 else 's'} what it was trained on."
-        )
-    return " ".join(told)
+def doubtful(block: Block) -> bool:
+    """Whether the recordings to validate with say something against a block."""
+    return bool(no_better_than(block)) or block.provenance.get(BEYOND, {}).get("share", 0.0) >= FAR
 
 
 def sentence(block: Block) -> str:
-    """What the validation recordings say of a block, the bad news first; "" where there were none."""
+    """What the validation recordings say of a block, what it is no better than first; "" where there were none."""
     told = block.provenance
     errors, count = told.get(ERRORS), len(told.get(RECORDINGS, ()))
     if not errors or not count:
@@ -144,7 +135,24 @@ def sentence(block: Block) -> str:
     rows = [_said(name, error, told.get(BESIDE, {}).get(name, {}), units[name]) for name, error in errors.items()]
     where = "recording" if count == 1 else "recordings"
     good = f"Free run over {count} validation {where}, which took no part: RMS error of {', '.join(rows)}."
-    return " ".join(filter(None, [doubts(block), good]))
+    return " ".join(filter(None, [_worse_said(block), good, _beyond_said(told.get(BEYOND))]))
+
+
+def _worse_said(block: Block) -> str:
+    words = [
+        f"of {name} the block is no better than {' or '.join(than)}" for name, than in no_better_than(block).items()
+    ]
+    return f"On what it was to be validated with, {', and '.join(words)}." if words else ""
+
+
+def _beyond_said(beyond: Mapping | None) -> str:
+    if not beyond:
+        return ""
+    names = beyond["signals"]
+    return (
+        f"It extrapolates in {100 * beyond['share']:.3g} % of that: {' and '.join(names)} "
+        f"leave{'' if len(names) > 1 else 's'} what it was trained on."
+    )
 
 
 def _said(name: str, error: float, rivals: Mapping[str, float], unit: str) -> str:

@@ -200,7 +200,27 @@ def test_a_budget_is_that_of_all_trials_together_and_says_what_it_cut(records, m
 def test_what_no_time_is_left_for_is_not_tried_and_says_so_and_there_is_an_answer(records):
     block = learn_best(records, INPUTS, OUTPUTS, kinds=("gp", "arx"), budget=0.02, workers=1)
     rows = {row["kind"]: row for row in block.provenance["ranking"]}
-    assert rows["arx"]["chosen"] and rows["gp"]["failed"] == trials.NOT_TRIED
+    assert rows["arx"]["chosen"] and rows["gp"]["failed"] == trials.NOT_TRIED and rows["gp"]["cut"]
+    card = block.provenance["free_run"]
+    assert card["bad"] and card["says"].startswith(ranking.CUT.format(kinds="gp"))
+
+
+def test_kinds_that_the_budget_cut_or_that_failed_are_on_the_card(records, monkeypatch):
+    """One was ended with its best so far, one could not be trained, one was trained to its end."""
+    block = learn("piecewise", records, INPUTS, OUTPUTS)
+    cut = replace(block, provenance={**block.provenance, "stopped": "time budget of 5 s"})
+
+    def tried(kind, one, share):
+        return Tried(kind, one, {"arm_angle": share}, 1.0, "", {"arm_angle": [share] * 3})
+
+    found = [tried("piecewise", block, 0.1), tried("nn", cut, 0.5), Tried("gp", failed="GPyTorch is not installed.")]
+    for some, first in ((found, ranking.CUT.format(kinds="nn")), ([found[0], found[2]], "")):
+        monkeypatch.setattr(ranking, "_raced", lambda *_, some=some: (some, False))
+        answer = learn_best(records, INPUTS, OUTPUTS, kinds=("piecewise", "nn", "gp"))
+        card = answer.provenance["free_run"]
+        assert card["says"].startswith(first) and "budget" not in card["says"].removeprefix(first)
+        assert card["says"].endswith("Not ranked: gp: GPyTorch is not installed.")
+        assert [row.get("cut", False) for row in answer.provenance["ranking"]] == [row is found[1] for row in some]
 
 
 def test_time_is_shared_among_those_that_wait_and_all_of_it_is_left_to_the_last():

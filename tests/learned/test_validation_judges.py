@@ -11,7 +11,7 @@ import hydrotwin as ht
 from hydrotwin.commands.training import trained, written
 from hydrotwin.learned import refitted
 from hydrotwin.learned.learning import held_out_of
-from hydrotwin.learned.validation import FIRST, doubts, sentence
+from hydrotwin.learned.validation import FIRST, doubtful, sentence
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.records import Record
 from tests.learned.test_bad_input import MODEL, PERIOD, recording
@@ -96,7 +96,7 @@ def test_what_the_recordings_that_judge_say_is_said():
     block = curve([recording(8.0, 0.8), recording(6.0, 0.9)])
     said = sentence(block)
     assert said.startswith("Free run over 2 validation recordings, which took no part: RMS error of position ")
-    assert f" ({FIRST} " in said and not doubts(block)
+    assert f" ({FIRST} " in said and not doubtful(block)
 
 
 def test_the_yardsticks_of_what_judges_are_what_they_come_to_by_hand():
@@ -130,7 +130,7 @@ def test_what_judges_outside_of_what_was_trained_on_is_said_to():
     told = outside.provenance["validation_beyond"]
     share = np.mean(np.abs(recording(8.0, 2.0)["current"]) > np.abs(outside.domain.upper[0]))
     assert told["share"] >= share > 0.2 and "current" in told["signals"]
-    assert f"It extrapolates in {100 * told['share']:.3g} % of what it was to be validated with: " in sentence(outside)
+    assert f"It extrapolates in {100 * told['share']:.3g} % of that: " in sentence(outside) and doubtful(outside)
     assert "validation_beyond" not in inside.provenance and "extrapolates" not in sentence(inside)
 
 

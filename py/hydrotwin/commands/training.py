@@ -131,7 +131,7 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
     from hydrotwin.learned import write_block, write_hybrid
     from hydrotwin.learned.interruption import INTERRUPTED
     from hydrotwin.learned.report_card import card_of
-    from hydrotwin.learned.validation import doubts, sentence
+    from hydrotwin.learned.validation import doubtful, sentence
 
     output.parent.mkdir(parents=True, exist_ok=True)
     files = write_hybrid(block, output, model) if model else write_block(block, output)
@@ -145,7 +145,7 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
         print_json(told | block.provenance)
         return
     said = [(bool(run["bad"]), run["says"])] if run else []
-    said += [(bool(doubts(block)), judged)] if (judged := sentence(block)) else []
+    said += [(doubtful(block), judged)] if (judged := sentence(block)) else []
     for bad, words in sorted(said, key=lambda one: not one[0]):  # bad news first, whoever tells it
         mark(out, "careful:" if bad else "checked:", words, "red" if bad else "green")
     out.print(f"{block.name}: {block.description}, period {block.period:g} s. Written: {', '.join(map(str, files))}")

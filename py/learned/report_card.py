@@ -99,8 +99,8 @@ class Row:
         return answer | ({"diverged": self.diverged} if self.diverged else {})
 
     def band_said(self) -> str:
-        """A band of the block's own that does not hold, in a sentence; else empty."""
-        if self.band.get("source") != OWN or self.band.get("trustworthy") or "coverage" not in self.band:
+        """A band that does not hold, in a sentence; else empty."""
+        if self.band.get("trustworthy") or "coverage" not in self.band:
             return ""
         inside = 100 * self.band["coverage"]
         return f"The 95 % band of {self.output.name} holds {inside:.3g} % of what was held out: do not rely on it."

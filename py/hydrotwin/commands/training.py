@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Union, get_args, get_origin, get_type_hints
@@ -13,7 +13,7 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.quantities import Wanted, apart, in_unit
 
-from .shared import err, mark, out, print_json, progress_bar
+from .shared import check_file, err, mark, out, print_json, progress_bar
 
 UNITS = {"period": "s", "budget": "s", "dead_time": "s", "settle": "s", "window": "s", "delay": "s", "tolerance": "1",
          "steady": "1"}  # fmt: skip
@@ -22,6 +22,16 @@ SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind: lags=5, or lags=2,6")
 ]
 OutOption = Annotated[Path, typer.Option("--out", metavar="BLOCK.toml", help="the block file to write")]
+
+
+def check_block(output: Path, model: str | None = None, parts: Sequence[str] = ()) -> None:
+    """Refuse before a long training a block that could not be written after it, or would replace the model it is of.
+
+    parts : of its other files, ``<stem>_<part>.toml``.
+    """
+    read = [Path(model.rpartition("@")[2])] if model else []
+    for place in (output, *(output.with_name(f"{output.stem}_{part}.toml") for part in parts)):
+        check_file(place, ".toml", sources=read)
 
 
 def named(name: str | None) -> dict[str, str]:

@@ -22,7 +22,7 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import Block, predict_one_step, simulate
 from hydrotwin.simulation.stops import Diverged
 
-from .bands import OWN, RUNS, band_of
+from .bands import RUNS, band_of
 from .grey_box.data import block_period
 from .held_out import Part, Split, through
 from .left_over import LeftOver, left_over

@@ -12,14 +12,16 @@ from hydrotwin.records import Record, all_unbroken, as_needed, shares_samples
 from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
+from .bands import WIDE, known_bands
 from .report_card import constant, shown
 from .training_data import domain_share, named
 from .verdicts import BETTER
 
 ERRORS, RECORDINGS = "validation", "validated_on"  # keys of the provenance
-BESIDE, BEYOND = "validation_beside", "validation_beyond"
+BESIDE, BEYOND, INSIDE = "validation_beside", "validation_beyond", "validation_coverage"
 FIRST = "holding the first sample"  # the yardstick of a run that begins where the recording does
 OUTSIDE, FAR = 0.01, 0.1  # share of samples outside of what was trained on: from which on it is told, and is bad news
+FEW_INSIDE = 0.75  # of a 95 % band: less is hardly a draw of a right one, however alike the misses are
 Run = Callable[[Record], Record]
 
 
@@ -56,7 +58,7 @@ def validated(
 
     ``ERRORS``: RMS by output, SI; infinite where a run diverges. ``BESIDE``: the same of holding the first sample and
     of every one of ``rivals``, by output and yardstick. ``BEYOND``: the share of the samples outside of what the block
-    was trained on, and the signals that leave it.
+    was trained on, and the signals that leave it. ``INSIDE``: what of every output lies in its 95 % band.
 
     rivals : yardsticks by name, each with what it answers to a recording. beside : their errors, where they are known.
     """
@@ -65,7 +67,15 @@ def validated(
     outputs = [s.name for s in block.outputs if all(s.name in r for r in validate)]
     needed = [as_needed(record, (*block.inputs, *block.outputs)) for record in validate]
     runs = all_unbroken(needed, [s.name for s in block.inputs])
-    told = {ERRORS: _errors(lambda r: simulate(block, r), runs, outputs), RECORDINGS: named(validate)}
+    known: dict[int, Record] = {}
+
+    def run(record: Record) -> Record:
+        if id(record) not in known:
+            known[id(record)] = simulate(block, record)
+        return known[id(record)]
+
+    told = {ERRORS: _errors(run, runs, outputs), RECORDINGS: named(validate)}
+    told |= {INSIDE: inside} if (inside := _inside(block, run, runs, outputs)) else {}
     told[BESIDE] = dict(beside or _beside(rivals or {}, runs, outputs))
     told |= {BEYOND: beyond} if (beyond := _beyond(block, runs)) else {}
     return replace(block, provenance={**block.provenance, **told})
@@ -100,6 +110,23 @@ def _errors(run: Run, records: Sequence[Record], outputs: Sequence[str]) -> dict
     return {n: float(np.sqrt(np.nanmean(miss**2))) for n, miss in misses.items()}
 
 
+def _inside(block: Block, run: Run, records: Sequence[Record], outputs: Sequence[str]) -> dict[str, float]:
+    """Share of the samples in the 95 % band of a free run, by output that has one; {} where a run diverges."""
+    bands, own, found = known_bands(block.provenance), {s.name for s in block.outputs}, {}
+    for name in outputs:
+        wide = bands[name].half_width if name in bands else None
+        if wide is None and f"{name}.sd" not in own:
+            continue
+        try:
+            runs = [(run(r), r) for r in records]
+        except Diverged:
+            return {}
+        inside = [np.abs(a[name] - r[name]) <= (WIDE * a[f"{name}.sd"] if wide is None else wide) for a, r in runs]
+        known = np.concatenate([np.isfinite(r[name]) for r in records])
+        found[name] = float(np.mean(np.concatenate(inside)[known]))
+    return found
+
+
 def _beyond(block: Block, records: Sequence[Record]) -> dict:
     """How much of recordings lies outside of what the block was trained on, and by which signals; {} where hardly."""
     if block.domain is None:
@@ -122,7 +149,9 @@ def no_better_than(block: Block) -> dict[str, list[str]]:
 
 def doubtful(block: Block) -> bool:
     """Whether the recordings to validate with say something against a block."""
-    return bool(no_better_than(block)) or block.provenance.get(BEYOND, {}).get("share", 0.0) >= FAR
+    told = block.provenance
+    few = any(inside < FEW_INSIDE for inside in told.get(INSIDE, {}).values())
+    return bool(no_better_than(block)) or few or told.get(BEYOND, {}).get("share", 0.0) >= FAR
 
 
 def sentence(block: Block) -> str:
@@ -135,7 +164,13 @@ def sentence(block: Block) -> str:
     rows = [_said(name, error, told.get(BESIDE, {}).get(name, {}), units[name]) for name, error in errors.items()]
     where = "recording" if count == 1 else "recordings"
     good = f"Free run over {count} validation {where}, which took no part: RMS error of {', '.join(rows)}."
-    return " ".join(filter(None, [_worse_said(block), good, _beyond_said(told.get(BEYOND))]))
+    bands = [_band_said(name, inside) for name, inside in told.get(INSIDE, {}).items()]
+    return " ".join(filter(None, [_worse_said(block), good, *bands, _beyond_said(told.get(BEYOND))]))
+
+
+def _band_said(name: str, inside: float) -> str:
+    doubt = ": do not rely on it" if inside < FEW_INSIDE else ""
+    return f"The 95 % band of {name} holds {100 * inside:.3g} % of that{doubt}."
 
 
 def _worse_said(block: Block) -> str:

@@ -10,11 +10,13 @@ import pytest
 import hydrotwin as ht
 from hydrotwin.commands.training import trained, written
 from hydrotwin.learned import refitted
+from hydrotwin.learned.bands import WIDE
 from hydrotwin.learned.learning import held_out_of
-from hydrotwin.learned.validation import FIRST, doubtful, sentence
+from hydrotwin.learned.validation import FIRST, doubtful, sentence, validated
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.records import Record
 from tests.learned.test_bad_input import MODEL, PERIOD, recording
+from tests.learned.toy_machine import ANGLE, toy_record, untrained_block, with_deviation
 
 INPUTS, OUTPUTS = ["current"], ["position"]
 KINDS = {  # options that keep a training short, and what it needs
@@ -150,3 +152,24 @@ def test_a_block_trained_again_keeps_the_yardsticks_of_what_judges():
     again = refitted(block, "arx", [recording()], INPUTS, OUTPUTS, validate=judge)
     assert again.provenance["validation_beside"] == block.provenance["validation_beside"] != {}
     assert again.provenance["validation"] != block.provenance["validation"]
+
+
+def test_the_band_is_judged_where_the_block_is_validated():
+    """The width is that of the card, not one made of the misses at hand."""
+    good, bad = (curve([judge]) for judge in (recording(8.0, 0.8), answers(1)))
+    for block, judge in ((good, recording(8.0, 0.8)), (bad, answers(1))):
+        wide = block.provenance["free_run"]["outputs"]["position"]["band"]["half_width"]
+        miss = ht.simulate(block, judge)["position"] - judge["position"]
+        inside = float(np.mean(np.abs(miss) <= wide))
+        assert block.provenance["validation_coverage"] == {"position": pytest.approx(inside)}
+        assert f"The 95 % band of position holds {100 * inside:.3g} % of that" in sentence(block)
+    assert "of that: do not rely on it." in sentence(bad) and bad.provenance["validation_coverage"]["position"] < 0.75
+
+
+def test_a_deviation_of_the_block_is_its_band_there():
+    block = with_deviation(untrained_block(outputs=(ANGLE,)))
+    judge = toy_record(3)
+    told = validated(block, [judge.select(["command", "arm_angle"])]).provenance["validation_coverage"]
+    run = ht.simulate(block, judge)
+    inside = np.abs(run["arm_angle"] - judge["arm_angle"]) <= WIDE * run["arm_angle.sd"]
+    assert told == {"arm_angle": pytest.approx(np.mean(inside))}

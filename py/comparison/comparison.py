@@ -133,7 +133,7 @@ class DomainShare:
 
     inside_percent  share of samples inside the training box
     farthest        largest distance outside, in box widths
-    beyond          quantities that leave the box
+    beyond          quantities that leave the box; empty of an FMU, which tells the distance alone
     source          "model" (its own box) or "recordings" (the box of the training recordings; ``model`` is empty)
     """
 
@@ -150,9 +150,10 @@ class DomainShare:
         outside = 100.0 - self.inside_percent
         if self.source != "model" or outside < OUTSIDE:
             return ""
-        leave = f"{' and '.join(self.beyond)} leave{'' if len(self.beyond) > 1 else 's'}"
+        leave = f"{' and '.join(self.beyond) or 'it'} leave{'' if len(self.beyond) > 1 else 's'}"
+        percent = f"{outside:.2g}" if outside < 99.5 else "100"
         return (
-            f"{self.model} extrapolates in {outside:.2g} % of {self.record}: {leave} what it was trained on, "
+            f"{self.model} extrapolates in {percent} % of {self.record}: {leave} what it was trained on, "
             f"by up to {self.farthest:.2g} of its range."
         )
 

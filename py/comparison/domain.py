@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydrotwin.records import Record
-from hydrotwin.simulation.block import ON_THE_EDGE, TrainingDomain
+from hydrotwin.simulation.block import ON_THE_EDGE, TRAINING_DISTANCE, TrainingDomain
 
 from .comparison import FREE_RUN, DomainShare, Trajectory
 
@@ -18,7 +18,8 @@ def domain_shares(
     """Share of every recording inside the training box of every contender that has one (its ``domain``).
 
     The box of ``train_records`` (every input and output of the contenders) gets a row per recording as well, with
-    ``model`` empty. Values come from the recording, or from the free run for what was not recorded.
+    ``model`` empty. Values come from the recording, or from the free run for what was not recorded. An FMU of a learned
+    block has no box, and says itself in its run how far outside of it it is.
     """
     free_runs = {(t.model, t.record): t.prediction for t in trajectories if t.mode == FREE_RUN}
     boxes = [(c.name, c.domain, "model") for c in contenders if getattr(c, "domain", None)]
@@ -30,7 +31,18 @@ def domain_shares(
             values = _values(box, record, free_runs.get((model, record.name)))
             if values is not None:
                 rows.append(_share(model, record.name, box, values, source))
+    boxed = {model for model, _, _ in boxes}
+    for (model, name), run in free_runs.items():
+        if model not in boxed and TRAINING_DISTANCE in run:
+            rows.append(_told(model, name, run))
     return tuple(rows)
+
+
+def _told(model: str, record: str, run: Record) -> DomainShare:
+    """What a run says itself of how far it leaves the box; which quantities do is not known."""
+    distance = run[TRAINING_DISTANCE][np.isfinite(run[TRAINING_DISTANCE])]
+    inside = 100.0 * float(np.mean(distance <= ON_THE_EDGE)) if len(distance) else 100.0
+    return DomainShare(model, record, inside, float(distance.max(initial=0.0)), (), "model")
 
 
 def training_box(contenders, records: Sequence[Record], train_records: Sequence[Record]) -> TrainingDomain | None:

@@ -96,8 +96,9 @@ def learn(
     these the block does not beat (``"no_better_than"``) or not for certain (``"cannot_tell"``), and all of it in a
     sentence (``"says"``); the error of every stretch of what was held out (``"stretches"``), the error one step ahead,
     and what is left (`left_over`). Where nothing can be held out, all is trained on and the sentence says so.
-    ``provenance["validation"]`` holds the RMS errors (SI) of free runs over ``validate``, by output. No trainer sees
-    these recordings.
+    ``provenance["validation"]`` holds the RMS errors (SI) of free runs over ``validate``, by output, and
+    ``["validation_beside"]`` those of holding the first sample and of the other yardsticks (see `validated`). No
+    trainer sees these recordings.
 
     Args:
         kind: one of `KINDS`. records: training recordings. inputs, outputs: signals, or names of columns.
@@ -164,12 +165,20 @@ def with_card(
     validate: Sequence[Record] = (),
 ) -> Block:
     """A block with its free run over what was held out, and over ``validate``, in its provenance (see `learn`)."""
-    records = unbroken_for(records, inputs, outputs, model)
+    records, rivals = unbroken_for(records, inputs, outputs, model), {}
+    named = _names(model, records, inputs, outputs)
     try:
-        told = _card(block, split, records, _names(model, records, inputs, outputs), model)
+        rivals = _rivals(block, split, named, model) if split.parts or validate else {}
+        told = _card(block, split, records, named, rivals)
     except KeyboardInterrupt:  # the block is trained: it is not lost because nobody waits for its card
         told = card(held_out.Split(records, why="the free run was interrupted"), [], Words())
-    return validated(replace(block, provenance={**block.provenance, "free_run": told}), list(validate))
+    return validated(replace(block, provenance={**block.provenance, "free_run": told}), list(validate), rivals)
+
+
+def _rivals(block: Block, split: held_out.Split, named, model) -> dict:
+    """The yardsticks of a block, the model alone among them where there is one."""
+    alone = {} if model is None else {MODEL: lambda record: simulate(model, record)}
+    return alone | yardsticks(block.provenance.get("kind", ""), split, *named)
 
 
 def check_judges(validate: Sequence[Record], records: Sequence[Record], inputs, outputs, model=None) -> None:
@@ -217,16 +226,13 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
     return tuple([getattr(s, "name", s) for s in part] for part in (inputs, outputs))
 
 
-def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, model) -> dict:
+def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, rivals) -> dict:
     bad, notes = _of_form(block)
     bad += [*one_way(records, named[0]), *_of_ending(block)]
     notes += [*cuts(records), *_of_drift(block), *_of_seeds(block), *_of_thinning(block, records)]
     if not split.parts:
         return card(split, [], Words(bad, notes))
-    more = yardsticks(block.provenance.get("kind", ""), split, *named)
-    if model is not None:
-        more = {MODEL: lambda record: simulate(model, record)} | more
-    rows = judged(block, split, named[1], more, records)
+    rows = judged(block, split, named[1], rivals, records)
     worth = importance(block, split.parts, named[1])
     unused = idle(worth, {row.output.name: row.rmse for row in rows})
     notes += [f"Without {name} it runs as well: leave it out, or record it moving more." for name in unused]

@@ -26,7 +26,7 @@ from hydrotwin.records import Record
 from .block_file import LearnedBlock
 from .held_out import Split
 from .interruption import INTERRUPTED
-from .learning import KINDS, check_judges, check_select, held_out_of, unbroken_for, with_card
+from .learning import FINISHED, KINDS, check_judges, check_select, held_out_of, unbroken_for, with_card
 from .repeats import without_repeats
 from .trials import ALWAYS, Asked, Outcome, Trial, Trials
 from .verdicts import as_good, may_be_as_good
@@ -43,6 +43,8 @@ DROPPED = (
     "on the first course of the commands alone it missed {own:.3g} % of the range: whatever it did on all of them, it "
     "could not be as good as {best} ({least:.3g} %), so it was not trained there (--thorough does)."
 )
+CUT = "The budget cut {kinds}: what they would come to in their time is not known. Give a longer --budget, or none."
+FAILED = "Not ranked: {reasons}"
 OUT = "Not trained on all, for after the first course nothing could make them as good: {kinds} (see the ranking)."
 
 
@@ -53,6 +55,7 @@ class Tried:
     shares : by output, the RMS error of its free run on what was held out over the output's range. stretches : the same
     by output and stretch. seconds : of the processor. failed : why there is no figure, or no block, a sentence.
     dropped : why it was not trained on all recordings, a sentence; its figures are of the first course alone.
+    late : the budget was over before it had an answer.
     """
 
     kind: str
@@ -63,6 +66,7 @@ class Tried:
     stretches: Mapping[str, Sequence[float]] = field(default_factory=dict)
     dropped: str = ""
     why: str = ""
+    late: bool = False
 
     @property
     def numbers(self) -> int:
@@ -85,6 +89,12 @@ class Tried:
         return sum(self.shares.values()) / len(self.shares) if self.shares else float("inf")
 
     @property
+    def cut(self) -> bool:
+        """Whether the budget ended it, or left it out."""
+        ended = self.block is not None and self.block.provenance.get("stopped", FINISHED) not in (FINISHED, INTERRUPTED)
+        return ended or self.late
+
+    @property
     def standing(self) -> int:
         """What is judged whole comes first, then what was dropped, then what failed."""
         return 2 if self.failed else 1 if self.dropped else 0
@@ -98,6 +108,7 @@ class Tried:
         if self.stretches:
             answer["stretches"] = {name: [100 * e for e in part] for name, part in self.stretches.items()}
         answer |= {"dropped": self.dropped} if self.dropped else {}
+        answer |= {"cut": True} if self.cut else {}
         return answer | ({"failed": self.failed} if self.failed else {})
 
 
@@ -161,13 +172,23 @@ def learn_best(
     block = with_card(taken.block, split, records, inputs, outputs, validate=validate)
     rows = [t.told() | {"as_good": t in good, "chosen": t is taken} for t in ranked]
     told = {"ranking": rows, "chosen_on": "what was held out of the training recordings"}
+    told["free_run"] = _with_what_is_missing(block.provenance["free_run"], ranked)
     if again:
         seconds = {FIRST: sum(r.duration for r in first), ALL: sum(r.duration for r in records)}
         out = ", ".join(t.kind for t in ranked if t.dropped)
         words = [ONCE.format(**seconds), *([OUT.format(kinds=out)] if out else [])]
-        card = block.provenance["free_run"]
+        card = told["free_run"]
         told["free_run"] = card | {"says": " ".join([card["says"], *words])}
     return replace(block, provenance={**block.provenance, **told, **({"stopped": INTERRUPTED} if stopped else {})})
+
+
+def _with_what_is_missing(card: Mapping, ranked: Sequence[Tried]) -> dict:
+    """The card with what the budget cut, which comes first, and which kinds failed otherwise."""
+    cut = [t.kind for t in ranked if t.cut]
+    failed = [t for t in ranked if t.failed and not t.cut]
+    first = [CUT.format(kinds=", ".join(cut))] if cut else []
+    last = [FAILED.format(reasons=_reasons(failed, some=True))] if failed else []
+    return {**card, "bad": bool(card["bad"] or cut), "says": " ".join([*first, card["says"], *last])}
 
 
 def _raced(kinds: Sequence[str], asked: Asked, means: tuple, progress: Callable | None) -> tuple[list[Tried], bool]:
@@ -239,7 +260,7 @@ class _Race:
         one = self.outcomes[Trial(kind, FIRST)]
         why = one.failed or one.why or ("" if one.stretches else "it diverges there.")
         failed = NO_FIRST.format(why=why) if why else ""
-        return Tried(kind, None, one.shares, one.seconds, failed, one.stretches)
+        return Tried(kind, None, one.shares, one.seconds, failed, one.stretches, late=one.late)
 
     def _tried(self, kind: str) -> Tried:
         """What is known of a kind, of all that it was trained on."""
@@ -249,7 +270,7 @@ class _Race:
         if kind in self.dropped:
             return replace(first, dropped=self.dropped[kind])
         last = self.outcomes[Trial(kind, ALL)]
-        one = replace(_of(kind, last), seconds=first.seconds + last.seconds)
+        one = replace(_of(kind, last), seconds=first.seconds + last.seconds, late=first.late or last.late)
         if one.failed or first.failed:  # where there is a block, nothing says how good it is
             return replace(one, shares={}, stretches={}, failed=one.failed or first.failed)
         shares, stretches = _both((one.shares, one.stretches), (first.shares, first.stretches))
@@ -257,15 +278,15 @@ class _Race:
 
 
 def _of(kind: str, one: Outcome) -> Tried:
-    return Tried(kind, one.block, one.shares, one.seconds, one.failed, one.stretches, why=one.why)
+    return Tried(kind, one.block, one.shares, one.seconds, one.failed, one.stretches, why=one.why, late=one.late)
 
 
-def _reasons(found: Sequence[Tried]) -> str:
-    """Why kinds failed, each reason once behind all that have it."""
+def _reasons(found: Sequence[Tried], some: bool = False) -> str:
+    """Why kinds failed, each reason once behind all that have it; some : others did not."""
     kinds: dict[str, list[str]] = {}
     for one in found:
         kinds.setdefault(one.failed.removeprefix("learn: "), []).append(one.kind)
-    return " ".join(f"{'all' if len(kinds) == 1 else ', '.join(own)}: {why}" for why, own in kinds.items())
+    return " ".join(f"{', '.join(own) if some or len(kinds) > 1 else 'all'}: {why}" for why, own in kinds.items())
 
 
 def _both(one: tuple[dict, dict], other: tuple[dict, dict]) -> tuple[dict, dict]:

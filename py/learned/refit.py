@@ -13,13 +13,15 @@ from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
 from .held_out import Part, through
-from .learning import PUBLISHED, held_out_of, trainer, unbroken_for
+from .interruption import INTERRUPTED
+from .learning import FINISHED, PUBLISHED, held_out_of, trainer, unbroken_for
 from .training_data import with_marks
-from .validation import validated
+from .validation import beside, validated
 
 REFITTED = "Then it was trained again on all recordings: the figures are those of the block that had not seen all."
 KEPT = "Trained again on all recordings, it ran worse over what had been held out: the block as it was judged is kept."
 
+CUT = "The training on all recordings was not done ({why}): give it longer, or no --budget."
 NETWORK = ("period", "delay", "substeps", "integrates", "hidden")  # blocks of an older version lack some
 
 AGAIN = ("symbolic", "narx", "state_network")  # kinds in provenances that are trained on from where they are
@@ -71,11 +73,21 @@ def refitted(
     told = dict(block.provenance.get("free_run", {}))
     worse = _worse(again, told, held_out_of(records, inputs, outputs, model).parts)
     if told:
-        told |= {"says": f"{told['says']} {KEPT if worse else REFITTED}", "refitted": not worse}
+        cut = _cut(again)
+        words = [told["says"], KEPT, *cut] if worse else [*cut, told["says"], REFITTED]
+        told |= {"says": " ".join(words), "refitted": not worse, "bad": bool(told.get("bad") or (cut and not worse))}
     if worse:
         return replace(block, provenance={**block.provenance, "free_run": told})
     kept = {key: block.provenance[key] for key in ("ranking", "chosen_on") if key in block.provenance}
-    return validated(replace(again, provenance={**again.provenance, **kept, "free_run": told}), validate)
+    again = replace(again, provenance={**again.provenance, **kept, "free_run": told})
+    return validated(again, validate, beside=beside(block, validate))
+
+
+def _cut(again: Block) -> list[str]:
+    """What ended the training on all recordings before it was done; those of `AGAIN` end by themselves."""
+    why = again.provenance.get("stopped", FINISHED)
+    own = again.provenance.get("kind") not in AGAIN
+    return [CUT.format(why=why)] if own and why not in (FINISHED, INTERRUPTED) else []
 
 
 def _trained_on(block: Block) -> Callable[..., Block]:

@@ -22,7 +22,7 @@ from hydrotwin.records import Record
 from hydrotwin.simulation import Block, predict_one_step, simulate
 from hydrotwin.simulation.stops import Diverged
 
-from .bands import OWN, RUNS, band_of
+from .bands import RUNS, band_of
 from .grey_box.data import block_period
 from .held_out import Part, Split, through
 from .left_over import LeftOver, left_over
@@ -99,8 +99,8 @@ class Row:
         return answer | ({"diverged": self.diverged} if self.diverged else {})
 
     def band_said(self) -> str:
-        """A band of the block's own that does not hold, in a sentence; else empty."""
-        if self.band.get("source") != OWN or self.band.get("trustworthy") or "coverage" not in self.band:
+        """A band that does not hold, in a sentence; else empty."""
+        if self.band.get("trustworthy") or "coverage" not in self.band:
             return ""
         inside = 100 * self.band["coverage"]
         return f"The 95 % band of {self.output.name} holds {inside:.3g} % of what was held out: do not rely on it."
@@ -190,17 +190,11 @@ def _beaten(row: Row) -> list[str]:
 def judged(block: Block, split: Split, outputs: Sequence[str], more: Mapping[str, Run], seen: Sequence[Record]) -> list:
     """A `Row` for each of ``outputs``: the block and the yardsticks over ``split.parts``.
 
-    more : yardsticks by name, each with what it answers to a recording. seen : all training recordings, for the range.
+    more : `yardsticks`, each with what it answers to a recording. seen : all training recordings, for the range.
     """
-    mean = {
-        s.name: float(np.mean(np.concatenate([r[s.name] for r in split.fit])))
-        for s in block.outputs
-        if s.name in outputs
-    }
     parts, measured = split.parts, split.held_out
     apart = {HOLD: {n: [r[n][0] - r[n] for r in measured] for n in outputs}}
-    yardsticks = {MEAN: lambda r: _constant(r, mean)} | dict(more)
-    apart |= {name: _misses(run, parts, outputs) for name, run in yardsticks.items()}
+    apart |= {name: _misses(run, parts, outputs) for name, run in more.items()}
     found, diverged = _runs(block, parts)
     ahead = _one_step(block, parts) if not diverged else {}
     bands = {} if diverged else {name: _band(told) for name, told in band_of(block, parts).items()}
@@ -259,13 +253,13 @@ def yardsticks_of(kind: str, with_model: bool) -> list[str]:
 
 
 def yardsticks(kind: str, split: Split, inputs: Sequence[str], outputs: Sequence[str]) -> dict[str, Run]:
-    """What a block of ``kind`` is measured by, fitted on what is trained on: ARX and a piecewise linear curve.
+    """What a block of ``kind`` is measured by, of what is trained on: the mean, ARX and a piecewise linear curve.
 
-    Neither where it is the kind itself, or cannot be fitted.
+    Neither of the last two where it is the kind itself, or cannot be fitted.
     """
-    if not split.parts:
-        return {}
-    found = {} if kind == "arx" else _arx(split, inputs, outputs)
+    mean = {n: float(np.mean(np.concatenate([r[n] for r in split.fit]))) for n in outputs}
+    found: dict[str, Run] = {MEAN: lambda record: constant(record, mean)}
+    found |= {} if kind == "arx" else _arx(split, inputs, outputs)
     return found if kind == "piecewise" else found | _curve(split, inputs, outputs)
 
 
@@ -320,7 +314,8 @@ def _rms(misses: Sequence[np.ndarray]) -> float:
     return float(np.sqrt(np.mean(np.concatenate(misses) ** 2)))
 
 
-def _constant(record: Record, values: Mapping[str, float]) -> Record:
+def constant(record: Record, values: Mapping[str, float]) -> Record:
+    """The recording with signals that stay at ``values``."""
     return record.with_signals({name: np.full(len(record), value) for name, value in values.items()})
 
 

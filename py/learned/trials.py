@@ -54,7 +54,8 @@ class Outcome:
     """What became of a trial.
 
     shares : by output, the RMS error of its free run on what was held out over the output's range. stretches : the same
-    by output and stretch. why : nothing was held out. seconds : of the processor. failed : why there is no block.
+    by output and stretch. why : nothing was held out. seconds : of the processor. failed : why there is no block; late:
+    that is, that the budget was over.
     """
 
     block: LearnedBlock | None = None
@@ -63,6 +64,7 @@ class Outcome:
     why: str = ""
     seconds: float = 0.0
     failed: str = ""
+    late: bool = False
 
 
 class Clock:
@@ -120,7 +122,7 @@ class Trials:
                 share = self.clock.share(1 if one.kind in QUICK else len(waiting) + 1 + later)
                 running[one] = _start(one, self.asked, share, self.folder), share
             if self.clock.over:
-                yield from ((one, Outcome(failed=NOT_TRIED)) for one in waiting)
+                yield from ((one, Outcome(failed=NOT_TRIED, late=True)) for one in waiting)
                 waiting.clear()
             connection.wait([child.sentinel for child, _ in running.values()], CHECKED if ends else None)
             others = bool(waiting or later)
@@ -145,7 +147,7 @@ def _ended(child, share, trial: Trial, folder: Path) -> Outcome:
         child.terminate()
     child.join()
     if late and not _file(folder, trial, "json").exists():
-        return Outcome(failed=TOO_LATE.format(share=time.time() - share[0]))
+        return Outcome(failed=TOO_LATE.format(share=time.time() - share[0]), late=True)
     return answer(trial, folder)
 
 

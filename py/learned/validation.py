@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +12,17 @@ from hydrotwin.records import Record, all_unbroken, as_needed, require_unseen
 from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
-from .report_card import shown
-from .training_data import named
+from .bands import WIDE, known_bands
+from .report_card import constant, shown
+from .training_data import domain_share, named
+from .verdicts import BETTER
 
 ERRORS, RECORDINGS = "validation", "validated_on"  # keys of the provenance
+BESIDE, BEYOND, INSIDE = "validation_beside", "validation_beyond", "validation_coverage"
+FIRST = "holding the first sample"  # the yardstick of a run that begins where the recording does
+OUTSIDE, FAR = 0.01, 0.1  # share of samples outside of what was trained on: from which on it is told, and is bad news
+FEW_INSIDE = 0.75  # of a 95 % band: less is hardly a draw of a right one, however alike the misses are
+Run = Callable[[Record], Record]
 
 
 def judges(validate: Sequence[Record], records: Sequence[Record], columns: Sequence[str]) -> list[Record]:
@@ -35,31 +42,150 @@ def judges(validate: Sequence[Record], records: Sequence[Record], columns: Seque
     return list(validate)
 
 
-def validated(block: Block, validate: Sequence[Record]) -> Block:
-    """The block with the RMS errors of its free runs over recordings, by output, SI; infinite where one diverges."""
+def validated(
+    block: Block,
+    validate: Sequence[Record],
+    rivals: Mapping[str, Run] | None = None,
+    *,
+    beside: Mapping[str, Mapping[str, float]] | None = None,
+) -> Block:
+    """The block with what its free runs over recordings come to, in its provenance; see the keys at the top.
+
+    ``ERRORS``: RMS by output, SI; infinite where a run diverges. ``BESIDE``: the same of holding the first sample and
+    of every one of ``rivals``, by output and yardstick. ``BEYOND``: the share of the samples outside of what the block
+    was trained on, and the signals that leave it. ``INSIDE``: what of every output lies in its 95 % band.
+
+    rivals : yardsticks by name, each with what it answers to a recording. beside : their errors, where they are known.
+    """
     if not validate:
         return block
     outputs = [s.name for s in block.outputs if all(s.name in r for r in validate)]
     needed = [as_needed(record, (*block.inputs, *block.outputs)) for record in validate]
-    given, validate = validate, all_unbroken(needed, [s.name for s in block.inputs])
+    runs = all_unbroken(needed, [s.name for s in block.inputs])
+    known: dict[int, Record] = {}
+
+    def run(record: Record) -> Record:
+        if id(record) not in known:
+            known[id(record)] = simulate(block, record)
+        return known[id(record)]
+
+    told = {ERRORS: _errors(run, runs, outputs), RECORDINGS: named(validate)}
+    told |= {INSIDE: inside} if (inside := _inside(block, run, runs, outputs)) else {}
+    told[BESIDE] = dict(beside or _beside(rivals or {}, runs, outputs))
+    told |= {BEYOND: beyond} if (beyond := _beyond(block, runs)) else {}
+    return replace(block, provenance={**block.provenance, **told})
+
+
+def beside(block: Block, validate: Sequence[Record]) -> Mapping[str, Mapping[str, float]]:
+    """What the yardsticks come to on recordings that this block was validated on; empty where it was not."""
+    return block.provenance.get(BESIDE, {}) if block.provenance.get(RECORDINGS) == named(validate) else {}
+
+
+def _beside(rivals: Mapping[str, Run], records: Sequence[Record], outputs: Sequence[str]) -> dict:
+    """RMS error by output and yardstick; a yardstick that cannot run is left out."""
+    found = {name: _errors(run, records, outputs) for name, run in {FIRST: _held, **rivals}.items()}
+    return {output: {name: errors[output] for name, errors in found.items() if output in errors} for output in outputs}
+
+
+def _held(record: Record) -> Record:
+    """Every signal stays at its first value."""
+    known = {n: record[n][np.isfinite(record[n])] for n in record.signals}
+    return constant(record, {n: float(values[0]) for n, values in known.items() if len(values)})
+
+
+def _errors(run: Run, records: Sequence[Record], outputs: Sequence[str]) -> dict[str, float]:
+    """RMS error by output, infinite where a run diverges; none of an output that has no answer."""
     try:
-        runs = [(simulate(block, record), record) for record in validate]
-        misses = {n: np.concatenate([run[n] - record[n] for run, record in runs]) for n in outputs}
-        errors = {n: float(np.sqrt(np.nanmean(miss**2))) for n, miss in misses.items()}
+        runs = [(run(record), record) for record in records]
     except Diverged:
-        errors = dict.fromkeys(outputs, float("inf"))
-    return replace(block, provenance={**block.provenance, ERRORS: errors, RECORDINGS: named(given)})
+        return dict.fromkeys(outputs, float("inf"))
+    except DataError:
+        return {}
+    misses = {n: np.concatenate([a[n] - r[n] for a, r in runs]) for n in outputs if all(n in a for a, _ in runs)}
+    return {n: float(np.sqrt(np.nanmean(miss**2))) for n, miss in misses.items()}
+
+
+def _inside(block: Block, run: Run, records: Sequence[Record], outputs: Sequence[str]) -> dict[str, float]:
+    """Share of the samples in the 95 % band of a free run, by output that has one; {} where a run diverges."""
+    bands, own, found = known_bands(block.provenance), {s.name for s in block.outputs}, {}
+    for name in outputs:
+        wide = bands[name].half_width if name in bands else None
+        if wide is None and f"{name}.sd" not in own:
+            continue
+        try:
+            runs = [(run(r), r) for r in records]
+        except Diverged:
+            return {}
+        inside = [np.abs(a[name] - r[name]) <= (WIDE * a[f"{name}.sd"] if wide is None else wide) for a, r in runs]
+        known = np.concatenate([np.isfinite(r[name]) for r in records])
+        found[name] = float(np.mean(np.concatenate(inside)[known]))
+    return found
+
+
+def _beyond(block: Block, records: Sequence[Record]) -> dict:
+    """How much of recordings lies outside of what the block was trained on, and by which signals; {} where hardly."""
+    if block.domain is None:
+        return {}
+    shares = [domain_share(block, record) for record in records]
+    outside = 1 - float(np.average([s.inside for s in shares], weights=[len(r) for r in records]))
+    names = dict.fromkeys(name for share in shares for name in share.beyond)
+    return {"share": outside, "signals": list(names)} if outside >= OUTSIDE else {}
+
+
+def no_better_than(block: Block) -> dict[str, list[str]]:
+    """By output, the yardsticks that the block does not beat on the recordings to validate with; {} of none."""
+    told, errors = block.provenance, block.provenance.get(ERRORS) or {}
+    found = {
+        output: [name for name, rival in told.get(BESIDE, {}).get(output, {}).items() if not error < BETTER * rival]
+        for output, error in errors.items()
+    }
+    return {output: names for output, names in found.items() if names}
+
+
+def doubtful(block: Block) -> bool:
+    """Whether the recordings to validate with say something against a block."""
+    told = block.provenance
+    few = any(inside < FEW_INSIDE for inside in told.get(INSIDE, {}).values())
+    return bool(no_better_than(block)) or few or told.get(BEYOND, {}).get("share", 0.0) >= FAR
 
 
 def sentence(block: Block) -> str:
-    """What the validation recordings say of a block; "" where there were none."""
-    errors, count = block.provenance.get(ERRORS), len(block.provenance.get(RECORDINGS, ()))
+    """What the validation recordings say of a block, what it is no better than first; "" where there were none."""
+    told = block.provenance
+    errors, count = told.get(ERRORS), len(told.get(RECORDINGS, ()))
     if not errors or not count:
         return ""
     units = {s.name: s.unit for s in block.outputs}
-    told = ", ".join(
-        f"{name} {shown(error, units[name])}" if np.isfinite(error) else f"{name}: a run diverges"
-        for name, error in errors.items()
-    )
+    rows = [_said(name, error, told.get(BESIDE, {}).get(name, {}), units[name]) for name, error in errors.items()]
     where = "recording" if count == 1 else "recordings"
-    return f"Free run over {count} validation {where}, which took no part: RMS error of {told}."
+    good = f"Free run over {count} validation {where}, which took no part: RMS error of {', '.join(rows)}."
+    bands = [_band_said(name, inside) for name, inside in told.get(INSIDE, {}).items()]
+    return " ".join(filter(None, [_worse_said(block), good, *bands, _beyond_said(told.get(BEYOND))]))
+
+
+def _band_said(name: str, inside: float) -> str:
+    doubt = ": do not rely on it" if inside < FEW_INSIDE else ""
+    return f"The 95 % band of {name} holds {100 * inside:.3g} % of that{doubt}."
+
+
+def _worse_said(block: Block) -> str:
+    words = [
+        f"of {name} the block is no better than {' or '.join(than)}" for name, than in no_better_than(block).items()
+    ]
+    return f"On what it was to be validated with, {', and '.join(words)}." if words else ""
+
+
+def _beyond_said(beyond: Mapping | None) -> str:
+    if not beyond:
+        return ""
+    names = beyond["signals"]
+    return (
+        f"It extrapolates in {100 * beyond['share']:.3g} % of that: {' and '.join(names)} "
+        f"leave{'' if len(names) > 1 else 's'} what it was trained on."
+    )
+
+
+def _said(name: str, error: float, rivals: Mapping[str, float], unit: str) -> str:
+    own = f"{name} {shown(error, unit)}" if np.isfinite(error) else f"{name}: a run diverges"
+    others = ", ".join(f"{n} {shown(e, unit) if np.isfinite(e) else 'diverges'}" for n, e in rivals.items())
+    return f"{own} ({others})" if others else own

@@ -112,7 +112,11 @@ def domain_table(comparison: Comparison, look: Mapping[str, Style]) -> Table | N
         texts("record", "Recording", [d.record for d in rows]),
         warned(numbers("inside", "Inside", inside, "%"), [v < 95.0 for v in inside]),
         numbers("farthest", "Farthest outside, in widths", [d.farthest for d in rows]),
-        texts("beyond", "Leaves the domain", [", ".join(d.beyond) or "nothing" for d in rows]),
+        texts(
+            "beyond",
+            "Leaves the domain",
+            [", ".join(d.beyond) or ("nothing" if d.farthest <= 0 else "not told by an FMU") for d in rows],
+        ),
     ]
     return table("domain", "", columns)
 

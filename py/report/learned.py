@@ -13,6 +13,7 @@ from hydrotwin.comparison import HoldLast, as_contender, compare
 from hydrotwin.learned.held_out import Part
 from hydrotwin.learned.learning import held_out_of
 from hydrotwin.learned.symbolic.front import front_rows
+from hydrotwin.learned.validation import sentence
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -56,6 +57,7 @@ def write_learned(
     card = block.provenance.get("free_run", {})
     says = (card["says"],) if "says" in card else ()
     says += (SEVERAL,) if says and len(shown) > 1 else ()
+    says += (judged,) if (judged := sentence(block)) else ()
     return write_report(comparison, folder, sections=learned_sections(block), says=says)
 
 

@@ -8,7 +8,17 @@ import warnings
 import numpy as np
 import pytest
 
-from hydrotwin.comparison import FREE_RUN, MEAN, DomainShare, HoldLast, Wanted, as_contender, compare
+from hydrotwin.comparison import (
+    FREE_RUN,
+    MEAN,
+    DomainShare,
+    HoldLast,
+    Trajectory,
+    Wanted,
+    as_contender,
+    compare,
+    domain_shares,
+)
 from hydrotwin.comparison.acceptance import acceptance
 from hydrotwin.comparison.notices import notices
 from hydrotwin.models.language.errors import DataError, DeclarationError
@@ -307,6 +317,24 @@ def test_a_contender_without_one_step_is_listed_and_no_failure():
 def test_a_comparison_prints_as_one_line_not_as_its_trajectories():
     comparison = compare([Toy("a"), Toy("b")], [recording(1)], modes=["free run"])
     assert repr(comparison) == "Comparison 'Comparison of models': a, b on validation_1; 6 scores"
+
+
+def test_an_fmu_of_a_learned_block_extrapolates_where_its_run_says_so():
+    """It has no box, and an output that tells the distance from it."""
+    record, toy = recording(1), Toy("block.fmu")
+    distance = np.where(np.arange(len(record)) < len(record) / 4, 0.5, 0.0)
+    told = toy.free_run(record).with_signals({"training_distance": distance}, {"training_distance": "1"})
+    [share] = domain_shares([toy], [record], (), [Trajectory("block.fmu", record.name, "free run", told)])
+    outside = 100 * np.mean(distance > 0)
+    assert share.inside_percent == pytest.approx(100 - outside)
+    assert share.farthest == 0.5 and share.source == "model"
+    assert share.extrapolates == (
+        f"block.fmu extrapolates in {outside:.2g} % of {record.name}: it leaves what it was trained on, by up to 0.5 "
+        "of its range."
+    )
+    untold = Trajectory("block.fmu", record.name, "free run", record)
+    assert not domain_shares([toy], [record], (), [untold])
+    assert "in 100 % of" in dataclasses.replace(share, inside_percent=0.0).extrapolates
 
 
 def test_where_a_model_extrapolates_is_said_in_a_sentence():

@@ -170,6 +170,24 @@ def test_wrong_words_are_answered_with_what_would_be_right(line, says):
         assert words in answer.err
 
 
+@pytest.mark.parametrize(
+    "line",
+    [
+        f"invert {{own}} {SIGNALS} --out {{own}}",
+        f"compensate {{own}} {SIGNALS} --waypoint 1=0.1 --out {{own}}",
+        f"learn hybrid ramp_1.csv --model {{own}} {SIGNALS} --out {{own}}",
+        f"learn hybrid ramp_1.csv --model slide.py:axis@{{own}} {SIGNALS} --out {{own}}",
+        "learn hybrid ramp_1.csv --model {own} --output position --out {folder}/axis.toml",
+    ],
+)
+def test_a_block_does_not_replace_the_model_that_it_is_made_of(line, tmp_path):
+    """Nor do the other files of a hybrid: the last line's would be called as its model is."""
+    own = tmp_path / "axis_model.toml"
+    own.write_text("kept", encoding="utf-8")
+    answer = hydrotwin(*line.format(own=own, folder=tmp_path).split())
+    assert answer.code == 2 and "would replace it" in answer.err and own.read_text(encoding="utf-8") == "kept"
+
+
 def test_what_there_is_instead_is_listed_once(here):
     for option, often in (("--budget 5", 1), ("--set lagz=3", 1)):
         answer = hydrotwin(*f"learn gp ramp_1.csv {SIGNALS} {option} --out a.toml".split())

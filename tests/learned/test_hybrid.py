@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import io
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -16,14 +17,17 @@ from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.identification import identify
 from hydrotwin.learned import domain_share
 from hydrotwin.learned.block_file import assemble
+from hydrotwin.learned.hybrid import learn as learning_hybrid
 from hydrotwin.learned.hybrid.block import join, residual_signal, simulated_signal
 from hydrotwin.learned.hybrid.files import read_hybrid, write_hybrid
 from hydrotwin.learned.hybrid.learn import learn_hybrid
+from hydrotwin.learned.network.learn import train_network
 from hydrotwin.learned.network.narx import NETWORK, NarxShape, array_shapes, network_states
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record, write_record
 from hydrotwin.simulation import lower, predict_one_step, simulate
 from tests import rig
+from tests.learned.test_bad_input import MODEL, PERIOD, recording
 from tests.learned.toy_machine import toy_record
 
 UNITS = {"command": "V", "arm_angle": "rad", "piston_force": "N"}
@@ -350,3 +354,21 @@ def test_held_inputs_keep_the_period_short_enough_for_the_model(actuator, lopsid
 def test_the_joined_step_is_one_casadi_function_without_free_symbols(hybrid):
     assert isinstance(hybrid.step, ca.Function) and not hybrid.step.has_free()
     assert hybrid.step.size1_in(0) == len(hybrid.states)
+
+
+def test_both_trainings_of_a_residual_share_the_budget_and_the_last_says_what_cut_it(monkeypatch):
+    """The second is on all recordings, and is the one that is written."""
+    given = []
+
+    def training(*recordings, **options):
+        block = train_network(*recordings, **{**options, "budget": None})
+        given.append(options["budget"])
+        cut = {"stopped": "time budget of 5 s"} if len(given) > 1 else {}
+        return replace(block, provenance={**block.provenance, **cut})
+
+    monkeypatch.setattr(learning_hybrid, "train_network", training)
+    short = {"starts": 1, "hidden": 0, "effort": 0.1, "period": PERIOD, "features": ["velocity"]}
+    block = learn_hybrid(hydrotwin.load(MODEL), [recording()], ["position"], budget=100.0, **short)
+    assert block.provenance["added"] and len(given) == 2
+    assert given[0] == 100.0 > given[1] > 0, "what the first has left"
+    assert block.provenance["stopped"] == "time budget of 5 s"

@@ -16,6 +16,7 @@ from hydrotwin.learned import (
 )
 from hydrotwin.learned.inverse.judging import ALONE, EVERY, LINE
 from hydrotwin.learned.report_card import MEAN, card_of
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
@@ -103,3 +104,47 @@ def test_where_every_sample_counts_the_ends_of_the_recordings_are_left_out():
     block = judged_inverse(record, "current", "position", forward=forward)
     assert "ends of the recordings" in card_of(block)["says"]
     assert row(block)["rmse"] < 0.5 * row(block)["yardsticks"][LINE]
+
+
+def falling(command: np.ndarray) -> np.ndarray:
+    """A flow that rises up to 0.6 of the command, and falls by a quarter of it behind."""
+    return np.where(command > 0, 2 * command * (1.2 - command), command)
+
+
+def answering(command: np.ndarray, answer, noise: float = 5e-3) -> Record:
+    time = 0.02 * np.arange(len(command))
+    values = {"current": command, "flow": answer(command) + noise * np.random.default_rng(0).standard_normal(len(time))}
+    return Record(time, values, {"current": "1", "flow": "m/s"}, "answer")
+
+
+STAIRS = np.repeat(np.random.default_rng(3).permutation(np.linspace(-1, 1, 41)), 100)
+WAVES = np.sin(1.9 * 0.02 * np.arange(3000)) * (0.4 + 0.6 * np.abs(np.sin(0.13 * 0.02 * np.arange(3000))))
+
+
+@pytest.mark.parametrize("command", [STAIRS, WAVES], ids=["steady points", "every sample"])
+def test_where_the_machine_falls_is_said_first_with_how_much(command):
+    block = judged_inverse(answering(command, falling), "current", "flow")
+    said, told = card_of(block), block.provenance["falls"]
+    assert said["bad"] and said["says"].startswith("From 0.") and "there is no inverse there" in said["says"]
+    assert told["begin"] == pytest.approx(0.6, abs=0.06) and told["end"] == pytest.approx(1.0, abs=0.06)
+    assert told["by"] == pytest.approx(0.32, abs=0.06)
+
+
+@pytest.mark.parametrize("command", [STAIRS, WAVES], ids=["steady points", "every sample"])
+@pytest.mark.parametrize("answer", [np.cbrt, lambda u: np.sign(u) * np.maximum(np.abs(u) - 0.2, 0)])
+def test_what_rises_or_stays_is_not_said_to_fall(answer, command):
+    block = judged_inverse(answering(command, answer, noise=0.03), "current", "flow")
+    assert "falls" not in block.provenance and "no inverse there" not in card_of(block)["says"]
+
+
+@pytest.mark.parametrize("command", [STAIRS, WAVES], ids=["steady points", "every sample"])
+@pytest.mark.parametrize("answer", [np.negative, np.square])
+def test_what_falls_more_than_it_rises_is_refused_and_nothing_is_learnt(answer, command):
+    with pytest.raises(DataError, match="it falls as 'current' rises"):
+        judged_inverse(answering(command, answer), "current", "flow", rate=False)
+
+
+def test_ends_that_judge_a_part_of_the_commands_say_which():
+    once = np.interp(np.arange(3000), [0, 1500, 2999], [-1.0, 1.0, -1.0])
+    says = card_of(judged_inverse(answering(once, np.cbrt), "current", "flow", moving=True))["says"]
+    assert says.startswith("The ends of the recordings judge 40 % of the range of current (-1 to -0.201)")

@@ -174,6 +174,19 @@ def test_what_runs_worse_over_what_it_has_seen_is_not_kept(best, records):
     assert again.provenance["free_run"]["refitted"] is False
 
 
+def test_a_training_on_all_recordings_that_a_budget_cut_says_so_first(records, monkeypatch):
+    """The card is that of the training before, which nothing had cut."""
+    block, cut = learn("piecewise", records, INPUTS, OUTPUTS), "time budget of 5 s"
+
+    def training(*given, **options):
+        found = learn_piecewise(*given, **options)
+        return replace(found, provenance={**found.provenance, "stopped": cut})
+
+    monkeypatch.setattr(refit, "trainer", lambda *_: training)
+    card = refitted(block, "piecewise", records, INPUTS, OUTPUTS).provenance["free_run"]
+    assert card["refitted"] and card["bad"] and card["says"].startswith(refit.CUT.format(why=cut))
+
+
 def test_a_budget_is_that_of_all_trials_together_and_says_what_it_cut(records, monkeypatch):
     """The machine may be busy: what is held is the clock, not what is reached within it."""
     slow = [toy_record(k, 40.0) for k in range(5)]
@@ -187,7 +200,27 @@ def test_a_budget_is_that_of_all_trials_together_and_says_what_it_cut(records, m
 def test_what_no_time_is_left_for_is_not_tried_and_says_so_and_there_is_an_answer(records):
     block = learn_best(records, INPUTS, OUTPUTS, kinds=("gp", "arx"), budget=0.02, workers=1)
     rows = {row["kind"]: row for row in block.provenance["ranking"]}
-    assert rows["arx"]["chosen"] and rows["gp"]["failed"] == trials.NOT_TRIED
+    assert rows["arx"]["chosen"] and rows["gp"]["failed"] == trials.NOT_TRIED and rows["gp"]["cut"]
+    card = block.provenance["free_run"]
+    assert card["bad"] and card["says"].startswith(ranking.CUT.format(kinds="gp"))
+
+
+def test_kinds_that_the_budget_cut_or_that_failed_are_on_the_card(records, monkeypatch):
+    """One was ended with its best so far, one could not be trained, one was trained to its end."""
+    block = learn("piecewise", records, INPUTS, OUTPUTS)
+    cut = replace(block, provenance={**block.provenance, "stopped": "time budget of 5 s"})
+
+    def tried(kind, one, share):
+        return Tried(kind, one, {"arm_angle": share}, 1.0, "", {"arm_angle": [share] * 3})
+
+    found = [tried("piecewise", block, 0.1), tried("nn", cut, 0.5), Tried("gp", failed="GPyTorch is not installed.")]
+    for some, first in ((found, ranking.CUT.format(kinds="nn")), ([found[0], found[2]], "")):
+        monkeypatch.setattr(ranking, "_raced", lambda *_, some=some: (some, False))
+        answer = learn_best(records, INPUTS, OUTPUTS, kinds=("piecewise", "nn", "gp"))
+        card = answer.provenance["free_run"]
+        assert card["says"].startswith(first) and "budget" not in card["says"].removeprefix(first)
+        assert card["says"].endswith("Not ranked: gp: GPyTorch is not installed.")
+        assert [row.get("cut", False) for row in answer.provenance["ranking"]] == [row is found[1] for row in some]
 
 
 def test_time_is_shared_among_those_that_wait_and_all_of_it_is_left_to_the_last():

@@ -11,8 +11,9 @@ import pytest
 import hydrotwin as ht
 from hydrotwin.learned import learning, read_block, write_block
 from hydrotwin.learned.held_out import Part, split, through
-from hydrotwin.learned.report_card import yardsticks
+from hydrotwin.learned.report_card import Row, yardsticks
 from hydrotwin.models.language.errors import DataError, DeclarationError
+from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 from hydrotwin.report.learned import learned_sections, write_learned
 from hydrotwin.simulation import predict_one_step
@@ -302,3 +303,11 @@ def test_a_state_network_tells_what_every_seed_of_its_form_came_to():
     block = learning.learn("state_nn", [recording(lambda u: settled(u, 0.3))], ["u"], ["y"], **options)
     assert [row["seed"] for row in block.provenance["seeds"]] == [0, 1]
     assert "Of 2 seeds the worst " in block.provenance["free_run"]["says"]
+
+
+@pytest.mark.parametrize("source", ["own", "conformal"])
+def test_a_band_that_does_not_hold_is_said_whatever_it_is_made_of(source):
+    out = Row(Signal("y", "m"), 0.1, 1.0, {}, band={"source": source, "trustworthy": False, "coverage": 0.877})
+    assert out.band_said() == "The 95 % band of y holds 87.7 % of what was held out: do not rely on it."
+    assert replace(out, band={**out.band, "trustworthy": True, "coverage": 0.95}).band_said() == ""
+    assert replace(out, band={}).band_said() == ""

@@ -18,8 +18,8 @@ from hydrotwin.records import SUFFIXES, Reading
 from ..loading import load
 from .accepting import STEADY, Judge, accepted, understood
 from .recordings import constants_among, read_all, reads
-from .shared import JsonOption, check_file, check_folder, examples, out
-from .training import OutOption, SetOption, named, options_of, trained, written
+from .shared import JsonOption, check_folder, examples, out
+from .training import OutOption, SetOption, check_block, named, options_of, trained, written
 
 AcceptOption = Annotated[
     list[str] | None,
@@ -65,7 +65,7 @@ def invert(
     """Learn which command gives a wanted steady rate: the inverse of a characteristic, as a block."""
     from hydrotwin.learned import characteristic, judged_inverse, learn_inverse
 
-    check_file(output, ".toml")
+    check_block(output, *source[:1])
     if report:
         check_folder(report)
     settings, reading = constants_among(settings, (command, answer), reading)
@@ -104,7 +104,7 @@ def compensate(
     from hydrotwin.learned import characteristic, judged_compensator, learn_compensator, learn_inverse
     from hydrotwin.learned.inverse.compensator import desired_curve
 
-    check_file(output, ".toml")
+    check_block(output, *source[:1])
     if report:
         check_folder(report)
     settings, reading = constants_among(settings, (command, answer), reading)

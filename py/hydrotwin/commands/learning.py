@@ -20,7 +20,6 @@ from .shared import (
     JsonOption,
     RecordsArgument,
     ValidateOption,
-    check_file,
     check_folder,
     duration_of,
     err,
@@ -29,9 +28,10 @@ from .shared import (
     out,
 )
 from .showing import physical
-from .training import OutOption, SetOption, named, options_of, trained, written
+from .training import OutOption, SetOption, check_block, named, options_of, trained, written
 
 AUTO, HYBRID = "auto", "hybrid"
+PARTS = ("model", "physics", "residual")  # files of a hybrid beside its own
 KINDS = {  # the kinds of learned.learning in words, told without importing it
     "arx": "a linear difference equation by least squares; the yardstick of all others",
     "linear": "a linear state space, refined in free run",
@@ -107,7 +107,7 @@ def learn(
     reading: Reading | None = None,
 ) -> None:
     """Learn a surrogate from recordings: a block that simulates, compares and exports as a model does."""
-    check_file(output, ".toml")
+    check_block(output, model, PARTS if model else ())
     if report:
         check_folder(report)
     if (kind == HYBRID) != bool(model):

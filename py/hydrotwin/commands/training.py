@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Union, get_args, get_origin, get_type_hints
@@ -13,7 +13,7 @@ import typer
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.quantities import Wanted, apart, in_unit
 
-from .shared import err, mark, out, print_json, progress_bar
+from .shared import check_file, err, mark, out, print_json, progress_bar
 
 UNITS = {"period": "s", "budget": "s", "dead_time": "s", "settle": "s", "window": "s", "delay": "s", "tolerance": "1",
          "steady": "1"}  # fmt: skip
@@ -22,6 +22,16 @@ SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind: lags=5, or lags=2,6")
 ]
 OutOption = Annotated[Path, typer.Option("--out", metavar="BLOCK.toml", help="the block file to write")]
+
+
+def check_block(output: Path, model: str | None = None, parts: Sequence[str] = ()) -> None:
+    """Refuse before a long training a block that could not be written after it, or would replace the model it is of.
+
+    parts : of its other files, ``<stem>_<part>.toml``.
+    """
+    read = [Path(model.rpartition("@")[2])] if model else []
+    for place in (output, *(output.with_name(f"{output.stem}_{part}.toml") for part in parts)):
+        check_file(place, ".toml", sources=read)
 
 
 def named(name: str | None) -> dict[str, str]:
@@ -131,7 +141,7 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
     from hydrotwin.learned import write_block, write_hybrid
     from hydrotwin.learned.interruption import INTERRUPTED
     from hydrotwin.learned.report_card import card_of
-    from hydrotwin.learned.validation import sentence
+    from hydrotwin.learned.validation import doubtful, sentence
 
     output.parent.mkdir(parents=True, exist_ok=True)
     files = write_hybrid(block, output, model) if model else write_block(block, output)
@@ -140,11 +150,12 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
     run = card_of(block)
     if as_json:
         told = {key: run[key] for key in ("says", "no_better_than") if key in run}
+        told |= {"validation_says": judged} if (judged := sentence(block)) else {}
         told |= {"block": block.name, "files": [str(f) for f in files], "period": block.period}
         print_json(told | block.provenance)
         return
-    if run:
-        mark(out, "careful:" if run["bad"] else "checked:", run["says"], "red" if run["bad"] else "green")
-    if judged := sentence(block):
-        out.print(judged)
+    said = [(bool(run["bad"]), run["says"])] if run else []
+    said += [(doubtful(block), judged)] if (judged := sentence(block)) else []
+    for bad, words in sorted(said, key=lambda one: not one[0]):  # bad news first, whoever tells it
+        mark(out, "careful:" if bad else "checked:", words, "red" if bad else "green")
     out.print(f"{block.name}: {block.description}, period {block.period:g} s. Written: {', '.join(map(str, files))}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -29,6 +30,8 @@ from .block import HybridBlock, alone, hybrid_outputs, join, residual_signal, sa
 
 HELPS = 0.9  # of the model's error on what was held out: what a residual must bring it to
 TOLD = ("trained_on", "selected_on", "seed", "seeds", "stopped", "versions", "integration", "drift", "rest")
+FINISHED = "finished"  # what a training that nothing cut says
+LEAST = 0.01  # s, of a budget that the first training has used up
 STILL = 1e-9  # of its size: a simulated output that moves less tells the residual nothing
 
 
@@ -61,7 +64,7 @@ def learn_hybrid(
         features: simulated outputs that the residual may depend on; None: all that move.
         method: "explicit", "implicit" (for a stiff model, see `lower`), or "auto": what `simulate` takes.
         lags: past increments of the residual, samples of the inputs.
-        training: seed, starts, hidden, effort, budget and progress of `train_network`.
+        training: seed, starts, hidden, effort, budget (of both trainings) and progress of `train_network`.
 
     The residual is added where it helps: on ``select``, or over the last fifth of every recording, run freely from its
     beginning with a residual that was trained without that fifth. Where it does not, by `HELPS`, the answer is the
@@ -128,7 +131,8 @@ class _Task:
 
 
 def _chosen(task: _Task, fit: list[Record], judge: list[Record], options: dict, runs: list[Record]):
-    """The residual, None where it does not help, and what is told of that."""
+    """The residual, None where it does not help, and what is told of that. Both trainings share the budget."""
+    end = time.monotonic() + options["budget"] if options.get("budget") else None
     if judge:
         residual, begins = task.residual(fit, judge, options), [r.time[0] for r in runs]
     else:
@@ -145,8 +149,10 @@ def _chosen(task: _Task, fit: list[Record], judge: list[Record], options: dict, 
             "The block is the model alone."
         )
         return None, told
-    if not judge and told["stopped"] == "finished":
-        residual = task.residual(fit, [], {**options, **_as_before(residual)})
+    if not judge and told["stopped"] == FINISHED:
+        left = {} if end is None else {"budget": max(end - time.monotonic(), LEAST)}
+        residual = task.residual(fit, [], {**options, **_as_before(residual), **left})
+        told["stopped"] = residual.provenance["stopped"]
     return residual, told
 
 

@@ -21,6 +21,7 @@ from hydrotwin.simulation.block import Block
 
 from ..integrating import integration
 from ..training_data import as_signals, level_and_error, named, slope_and_error, usable
+from .falling import Fall, fall_of_points, refuse_what_falls
 from .moving import moving_curve
 
 POSITIONS = ("m", "rad")  # of a Block or Model: outputs in these units move at a rate, others settle at a value
@@ -36,6 +37,7 @@ class Characteristic:
 
     input, rate : what is commanded, and what comes of it. sigma : standard deviation of one of the rates.
     period : s, of the block that is learnt from it. source : where it comes from, for the provenance.
+    fall : where the machine falls, of rates that were made monotone; see `fell`.
     """
 
     input: Signal
@@ -45,6 +47,7 @@ class Characteristic:
     sigma: float = 0.0
     period: float = 0.01
     source: Mapping = field(default_factory=dict)
+    fall: Fall | None = None
 
     def __post_init__(self):
         u, r = np.asarray(self.commands, float), np.asarray(self.rates, float)
@@ -67,6 +70,11 @@ class Characteristic:
         order = np.lexsort((r, u))
         object.__setattr__(self, "commands", u[order])
         object.__setattr__(self, "rates", r[order])
+
+    @property
+    def fell(self) -> Fall | None:
+        """Where the rates fall as the command rises, beyond their scatter."""
+        return self.fall or fall_of_points(self.commands, self.rates, self.sigma)
 
     @property
     def reach(self) -> tuple[float, float]:
@@ -151,11 +159,13 @@ def _of_records(records, input, output, rate, settle, window, delay, steady, mov
     cut = [] if moving else [_stretches(r, input, output, rate, settle, window, delay or 0.0, steady * span)
                              for r in records]  # fmt: skip
     u, r, error = np.array([p for part in cut for p in part]).reshape(-1, 3).T
+    fall = None
     told = {"trained_on": named(records), "steady_points": len(u), "settle": settle, "window": window,
             "delay": delay or 0.0}  # fmt: skip
     if moving or (moving is None and (len(u) < LEAST_POINTS or np.ptp(u) < COVERED * span)):
         found = moving_curve(records, input, output, rate, delay)
-        u, r, error = found.commands, found.rates, found.sigma
+        refuse_what_falls(output.name, input.name, found.fall, float(np.ptp(found.rates)))
+        u, r, error, fall = found.commands, found.rates, found.sigma, found.fall
         told = {"trained_on": named(records), "moving_points": len(u), "delay": found.dead_time}
     elif not len(u):
         raise DataError(
@@ -163,7 +173,7 @@ def _of_records(records, input, output, rate, settle, window, delay, steady, mov
             "Hold commands for longer, ramp more slowly, give a shorter settle and window, or moving=True."
         )
     sigma = float(np.median(error))
-    return Characteristic(input, asked_signal(output, rate), u, r, sigma, period or records[0].period, told)
+    return Characteristic(input, asked_signal(output, rate), u, r, sigma, period or records[0].period, told, fall)
 
 
 def _stretches(record, input, output, rate, settle, window, delay, allowed):

@@ -26,7 +26,7 @@ from ..report_card import BLOCK, MEAN, STEADY, Row, Words, carded, further, show
 from ..verdicts import rms_of
 from .compensator import DesiredCurve, desired_curve, learn_compensator
 from .curve import GRID, static_answer
-from .data import LEAST_POINTS, Characteristic, characteristic
+from .data import COVERED, LEAST_POINTS, Characteristic, characteristic
 from .learn import learn_inverse
 
 EVERY = 5  # of the points, in the order of their commands, one is left out
@@ -98,9 +98,10 @@ def _carded(block: LearnedBlock, forward: Characteristic, given: tuple, learning
     except DeclarationError:
         raise
     except HydrotwinError as error:
-        told = unknown(f"{error} How well it holds at other commands is not known.", Words())
+        told = unknown(f"{error} How well it holds at other commands is not known.", Words(_falling(forward)))
     except KeyboardInterrupt:  # the block is learnt: it is not lost because nobody waits for its card
-        told = unknown("the card was interrupted. How well it holds at other commands is not known.", Words())
+        why = "the card was interrupted. How well it holds at other commands is not known."
+        told = unknown(why, Words(_falling(forward)))
     return replace(block, provenance={**block.provenance, STEADY: told})
 
 
@@ -147,7 +148,33 @@ def _card(inverse: LearnedBlock, apart: _Apart, forward: Characteristic, curve: 
     )  # fmt: skip
     held = {"points": int(asked.sum()), "which": apart.words}
     good = f"At {held['points']} {apart.words}, RMS error of {row.said()}."
-    return carded([row], Words(notes=_noise(forward)), [held], [good])
+    bad = [*_falling(forward), *_uncovered(apart, forward)]
+    return carded([row], Words(bad, _noise(forward)), [held], [good])
+
+
+def _falling(forward: Characteristic) -> list[str]:
+    """Where the machine falls: every inverse is wrong there, also one that its card finds good."""
+    fall, u = forward.fell, forward.input.unit
+    if fall is None:
+        return []
+    rate = judged_signal(forward.rate)
+    return [
+        f"From {shown(fall.begin, u)} to {shown(fall.end, u)} of {forward.input.name}, {rate.name} falls by "
+        f"{shown(fall.by, rate.unit)} ({100 * fall.share:.2g} % of its range): there is no inverse there, and this one "
+        "holds a mean. Leave those commands out of the recordings, or make the machine rise."
+    ]
+
+
+def _uncovered(apart: _Apart, forward: Characteristic) -> list[str]:
+    """Commands of which nothing was left out: what the inverse does there, nothing has judged."""
+    covered = float(np.ptp(apart.commands) / np.ptp(forward.commands))
+    if apart.words != OF_ENDS or covered >= COVERED:
+        return []
+    low, high = (shown(float(end(apart.commands)), forward.input.unit) for end in (np.min, np.max))
+    return [
+        f"The ends of the recordings judge {100 * covered:.2g} % of the range of {forward.input.name} ({low} to "
+        f"{high}): elsewhere the inverse is not judged. End recordings with commands over the whole range."
+    ]
 
 
 def _noise(forward: Characteristic) -> list[str]:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from importlib import metadata
 
 import numpy as np
@@ -27,6 +27,7 @@ from ..needs import needed_to_train
 from ..options import check_counts, check_known
 from .curve import GRID, INVERSE_NETWORK, INVERSE_TABLE, refuse_falling, static_answer
 from .data import Characteristic, characteristic
+from .falling import refuse_what_falls
 
 METHODS = ("table", "network", "monotone")
 SAMPLINGS = ("rate", "command")
@@ -80,11 +81,15 @@ def learn_inverse(
     ``provenance`` holds the round trip, the least slope and the recordings. Ctrl-C ends the training with what it has.
 
     Raises:
-        SolveError: an inverse that falls anywhere on 20,001 points. DataError: see `characteristic`.
+        SolveError: an inverse that falls anywhere on 20,001 points. DataError: see `characteristic`; rates that fall
+        by more than they rise. Where they fall by less, ``provenance["falls"]`` tells it.
         DeclarationError: an unknown method, impossible options, or PyTorch is not installed.
     """
     _check_options(method, steepest, hidden, iterations, monotonicity, sampling)
     forward = characteristic(source, input, output, **steady)
+    _, r, w = _merged(forward)
+    rises = float(np.ptp(isotonic_regression(r, weights=w).x))
+    refuse_what_falls(forward.rate.name.removeprefix("wanted_"), forward.input.name, forward.fell, rises)
     if method == "table":
         arrays, structure, learnt = _table(forward, steepest)
         block = _block(INVERSE_TABLE, arrays, structure, forward, name, f"isotonic table, {structure['knots']} knots")
@@ -107,6 +112,7 @@ def learn_inverse(
         "kind": "inverse", "method": method, **forward.source, "round_trip": trip.rms, "round_trip_worst": trip.worst,
         "least_slope": slope, "sigma": forward.sigma, "versions": _versions(), **told,
     }  # fmt: skip
+    provenance |= {"falls": asdict(forward.fell)} if forward.fell else {}
     return replace(block, certificate=_certify(block, learnt), provenance=provenance)
 
 

@@ -14,13 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.optimize import minimize_scalar
 
+from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
 
-from ..grey_box.data import best_ratio, block_period, run_of
+from ..grey_box.data import best_ratio, block_period, falls, run_of
 from ..grey_box.fit import bent_knots, monotone, shares
 from ..piecewise.fit import CurveProblem, late, scan_dead_time
 from ..training_data import check_excitation
+from .falling import BINS, Fall, largest_fall
 
 KNOTS, ROUNDS = 41, 3
 SEEN = 0.05  # of the usual knot's weight: a knot with less was hardly visited, and is left out
@@ -30,13 +32,14 @@ SEEN = 0.05  # of the usual knot's weight: a knot with less was hardly visited, 
 class MovingCurve:
     """Commands and rates (or levels) at the knots that were visited, SI; the dead time [s], lags included.
 
-    sigma : standard deviation of one of the rates, by what is left.
+    sigma : standard deviation of one of the rates, by what is left. fall : of a curve that may fall, see `falling`.
     """
 
     commands: np.ndarray
     rates: np.ndarray
     sigma: float
     dead_time: float
+    fall: Fall | None = None
 
 
 def moving_curve(
@@ -44,13 +47,15 @@ def moving_curve(
 ) -> MovingCurve:
     """Fit the curve to whole recordings. rate : of the output, else its level; dead_time [s] : None finds it.
 
-    Raises `DataError` for signals that never move and recordings that are too short.
+    Raises `DataError` for signals that never move, recordings that are too short, and what falls as the command rises.
     """
     check_excitation(records, (input_, output))
     period = block_period("characteristic", records, None)
     runs = [run_of(r, period, input_, output) for r in records]
     problem = CurveProblem(runs, period, rate, dead_time, 1.0 if rate else None)
     knots, at = np.linspace(*problem.span, KNOTS), scan_dead_time(problem)
+    if falls(runs, rate):
+        _refuse_turned(problem, at, knots, (input_.name, output.name))
     for _ in range(ROUNDS):
         at = _nearest_dead_time(problem, at, knots)
         values = _fitted(problem, at, knots)[0]
@@ -61,7 +66,35 @@ def moving_curve(
     visited = weight > SEEN * np.median(weight[weight > 0])
     spread = np.linalg.pinv(gram[np.ix_(visited, visited)]).diagonal()
     sigma = float(np.sqrt(np.mean(misses**2) * np.median(spread)))
-    return MovingCurve(knots[visited], values[visited], sigma, at)
+    return MovingCurve(knots[visited], values[visited], sigma, at, _fall(problem, at))
+
+
+def _fall(problem: CurveProblem, at: float) -> Fall | None:
+    """Where a curve that may fall does, by least squares at even knots that were visited."""
+    knots = np.linspace(*problem.span, BINS + 1)
+    rows, target = problem.rows(lambda run: _columns(problem, run, at, knots)), problem.target()
+    weight = (rows**2).sum(axis=0)
+    visited = weight > SEEN * np.median(weight[weight > 0])
+    values, *_ = np.linalg.lstsq(rows[:, visited], target, rcond=None)
+    misses = target - rows[:, visited] @ values
+    spread = np.linalg.pinv(rows[:, visited].T @ rows[:, visited]).diagonal()
+    return largest_fall(knots[visited], values, np.sqrt(np.mean(misses**2) * spread))
+
+
+def _refuse_turned(problem: CurveProblem, at: float, knots: np.ndarray, names: tuple[str, str]) -> None:
+    """Raises DataError where the turned output rises with the command, and better: half a wave late, the output does.
+
+    names : of input and output.
+    """
+    turned = replace(problem, runs=[replace(run, output=-run.output) for run in problem.runs])
+    left = [
+        np.mean(_fitted(p, late_by, knots)[1] ** 2) for p, late_by in ((problem, at), (turned, scan_dead_time(turned)))
+    ]
+    if left[1] < left[0]:
+        raise DataError(
+            f"characteristic of {names[1]}: it falls as '{names[0]}' rises, everywhere. What falls has no rising "
+            "inverse. Turn the sign of one of the two."
+        )
 
 
 def _nearest_dead_time(problem: CurveProblem, around: float, knots: np.ndarray) -> float:

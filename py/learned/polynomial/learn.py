@@ -72,7 +72,7 @@ def learn_narx(
         records: training recordings without gaps, of even or uneven times.
         period: s between steps; None: chosen. degree: of the products, 1 to 3.
         lags: (past increments of the outputs, samples of every input); None: chosen. delay: periods before an input
-            acts; None: chosen. terms: of an equation, at most.
+            acts; None: chosen. terms: selected for an equation, at most; free runs may add `GROWN` more.
         substeps: steps in a period, over which inputs are means; None: where the period is chosen and its samples do
             not show what the inputs do in between, those of the recordings (`substeps_step`).
         select: recordings that choose in place of parts held out; nothing is fitted to them.

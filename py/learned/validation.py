@@ -132,6 +132,13 @@ def _beyond(block: Block, records: Sequence[Record]) -> dict:
     return {"share": outside, "signals": list(names)} if outside >= OUTSIDE else {}
 
 
+def as_card(block: Block) -> dict:
+    """RMS error and that of the yardsticks by output, in the form of a report card; {} where nothing was validated."""
+    errors, beside_ = block.provenance.get(ERRORS), block.provenance.get(BESIDE, {})
+    rows = {n: {"rmse": error, "yardsticks": beside_.get(n, {})} for n, error in (errors or {}).items()}
+    return {"outputs": rows} if rows else {}
+
+
 def no_better_than(block: Block) -> dict[str, list[str]]:
     """By output, the yardsticks that the block does not beat on the recordings to validate with; {} of none."""
     told, errors = block.provenance, block.provenance.get(ERRORS) or {}

@@ -222,6 +222,27 @@ def test_a_block_is_judged_by_criteria_and_its_page_shows_what_was_held_out(here
     assert (here / "judged.toml").exists(), "it is written all the same"
 
 
+def test_a_criterion_has_to_hold_of_what_it_is_validated_with_too(here):
+    """Commands of three times the size: what was held out says nothing of them, and had passed the block alone."""
+    time = np.arange(0, 10, 0.02)
+    current = 3 * np.sin(2 * np.pi * 0.2 * time)
+    far = Record(
+        time, {"current": current, "position": np.cumsum(current**3) * 0.02}, {"current": "1", "position": "m"}, "far"
+    )
+    ht.write_record(far, here / "far.csv")
+    line = f"learn arx ramp_1.csv {SIGNALS} --out near.toml --validate far.csv".split()
+    missed = hydrotwin(*line, "--accept", "position.rmse < 1 m")
+    assert (
+        missed.code == 1 and "PASS position.rmse < 1 m: " in missed.said and "FAIL position.rmse < 1 m: " in missed.said
+    )
+    assert "on the recordings to validate with" in missed.said
+    assert hydrotwin(*line[:-2], "--accept", "position.rmse < 1 m").code == 0
+    other = hydrotwin(*line, "--accept", "position.max < 1 m")
+    assert other.code == 0 and "note position.max < 1 m: judged on what was held out alone" in " ".join(
+        other.said.split()
+    )
+
+
 def test_a_block_that_nothing_could_be_held_out_of_is_written_without_a_page(here):
     time = np.arange(0, 16, 0.02)
     current = np.interp(time, [0, 2, 6, 8], [0, 1, -1, 0])

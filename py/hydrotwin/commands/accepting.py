@@ -1,4 +1,4 @@
-"""Acceptance criteria of a block that was learnt: its free run, or its steady points, on what was held out."""
+"""Acceptance criteria of a block that was learnt: its free run, or its steady points, on what took no part."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from .shared import mark, out
 CARD = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias"}  # metric -> field of the card, SI
 STEADY = (*CARD, "nrmse", "fit")  # of an inverse: it has no band
 JUDGED = (*STEADY, "coverage")
+HELD_OUT, VALIDATED = "on what was held out", "on the recordings to validate with"  # where a criterion has to hold
+NOT_VALIDATED = "judged on what was held out alone, for of the recordings to validate with only RMS errors are known."
 
 
 def criteria(
@@ -76,21 +78,45 @@ def _meant(name: str, known: Sequence[str]) -> list[str]:
 
 
 def accepted(asked: Sequence, block, silent: bool) -> bool:
-    """Whether every criterion holds of the block's card, what was held out of its making; each is said."""
+    """Whether every criterion holds of the block's card, what was held out of its making; each is said.
+
+    One on the RMS error has to hold of the recordings to validate with, too, where there are any: who names them means
+    them. The other metrics are not known of these, which is said.
+    """
     from hydrotwin.comparison import judge, worst
     from hydrotwin.learned.bands import known_bands
     from hydrotwin.learned.report_card import card_of
+    from hydrotwin.learned.validation import as_card
     from hydrotwin.report.acceptance import found_told, margin_told
 
-    card, good = card_of(block), True
-    doubts = {name: band.says for name, band in known_bands(block.provenance).items() if not band.trustworthy}
+    places = [(card_of(block), HELD_OUT)] + ([(own, VALIDATED)] if (own := as_card(block)) else [])
+    doubts, good = {n: band.says for n, band in known_bands(block.provenance).items() if not band.trustworthy}, True
     for many in asked:
-        found = worst([replace(judge(one, _Card(one.text, card)), doubt=doubts.get(one.output, "")) for one in many])
-        good &= found.passed
-        if not silent:
-            word, style = ("PASS", "green") if found.passed else ("FAIL", "red")
-            mark(out, word, f"{found.criterion.text}: {found_told(found)}, {margin_told(found)}", style)
+        for card, where in places:
+            if where == VALIDATED and not _known(many, card):
+                if not silent:
+                    mark(out, "note", f"{many[0].text}: {NOT_VALIDATED}", "yellow")
+                continue
+            found = worst(
+                [replace(judge(one, _Card(one.text, card)), doubt=doubts.get(one.output, "")) for one in many]
+            )
+            good &= found.passed
+            if not silent:
+                word, style = ("PASS", "green") if found.passed else ("FAIL", "red")
+                place = f", {where}" if len(places) > 1 else ""
+                mark(out, word, f"{found.criterion.text}: {found_told(found)}, {margin_told(found)}{place}", style)
     return good
+
+
+def _known(many: Sequence, card: dict) -> bool:
+    """Whether a card of validation recordings says what the criteria of one sentence ask for."""
+    rows = card["outputs"]
+    return all(
+        one.metric == "rmse"
+        and one.output in rows
+        and (not one.than or len(_meant(one.than, rows[one.output]["yardsticks"])) == 1)
+        for one in many
+    )
 
 
 class _Card:

@@ -91,7 +91,7 @@ def learn(
         typer.Option(
             "--accept",
             metavar="CRITERION",
-            help="'position.rmse < 2 mm' in free run on what was held out; exit 1 where it does not hold",
+            help="'position.rmse < 2 mm' in free run on what was held out, and on --validate; else exit 1",
         ),
     ] = None,
     report: Annotated[Path | None, typer.Option("--report", metavar="DIR", help="write a page with the plots")] = None,

@@ -11,6 +11,7 @@ import pytest
 
 import hydrotwin as ht
 from hydrotwin.commands.learning import KINDS
+from hydrotwin.commands.training import ranked
 from hydrotwin.learned import learning, refit
 from hydrotwin.records import Record
 from tests.face.command_line import hydrotwin
@@ -290,6 +291,13 @@ def test_every_kind_is_tried_and_the_best_is_kept(here):
     assert sorted(row["kind"] for row in rows) == ["grey_box", "piecewise"]
     (chosen,) = (row["kind"] for row in rows if row["chosen"])
     assert ht.load("best.toml").provenance["kind"] == chosen
+
+
+def test_the_screen_ranks_the_kinds_that_were_tried():
+    of = {"percent_of_range": {"position": 0.123}}
+    rows = [{"kind": "arx", **of, "chosen": True, "as_good": True}, {"kind": "nn", "failed": "x", "cut": True}]
+    line = "kinds by their error on what was held out, in % of the range of position: "
+    assert ranked(rows) == f"{line}arx 0.12 (chosen), nn (cut by the budget)."
 
 
 @pytest.mark.parametrize("line", ["learn linear ramp_1.csv", "learn arx ramp_1.csv", "learn nn ramp_1.csv --budget 2"])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import Annotated, Union, get_args, get_origin, get_type_hints
@@ -18,6 +18,8 @@ from .shared import check_file, err, mark, out, print_json, progress_bar
 UNITS = {"period": "s", "budget": "s", "dead_time": "s", "settle": "s", "window": "s", "delay": "s", "tolerance": "1",
          "steady": "1"}  # fmt: skip
 OWN = {"records", "inputs", "outputs", "validate", "select", "progress", "name", "seed"}  # with a flag of their own
+FATES = {"chosen": "chosen", "cut": "cut by the budget", "failed": "failed", "dropped": "first course only",
+         "as_good": "as good"}  # fmt: skip
 SetOption = Annotated[
     list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="an option of the kind: lags=5, or lags=2,6")
 ]
@@ -158,4 +160,19 @@ def written(block, output: Path, as_json: bool, model: str | None = None) -> Non
     said += [(doubtful(block), judged)] if (judged := sentence(block)) else []
     for bad, words in sorted(said, key=lambda one: not one[0]):  # bad news first, whoever tells it
         mark(out, "careful:" if bad else "checked:", words, "red" if bad else "green")
+    if rows := block.provenance.get("ranking"):
+        out.print(ranked(rows))
     out.print(f"{block.name}: {block.description}, period {block.period:g} s. Written: {', '.join(map(str, files))}")
+
+
+def ranked(rows: Sequence[Mapping]) -> str:
+    """A line with the kinds that `learn auto` tried, the best first, and what became of each."""
+    names = list(dict.fromkeys(name for row in rows for name in row.get("percent_of_range", {})))
+    kinds = ", ".join(_came_to(row) for row in rows)
+    return f"kinds by their error on what was held out, in % of the range of {' and '.join(names)}: {kinds}."
+
+
+def _came_to(row: Mapping) -> str:
+    errors = [f"{value:.2g}" for value in row.get("percent_of_range", {}).values()]
+    fate = next((f"({words})" for key, words in FATES.items() if row.get(key)), "")
+    return " ".join(filter(None, [row["kind"], " and ".join(errors), fate]))

@@ -306,3 +306,16 @@ def test_an_unknown_signal_of_a_model_is_refused_with_the_nearest():
         learn_inverse(quasi_static(), "current")
     with pytest.raises(DeclarationError, match="settle must be positive"):
         learn_inverse(quasi_static(), "current", "velocity", settle=-1.0)
+
+
+@pytest.mark.parametrize("option", [{"limits": (-0.5, 0.5)}, {"others": {"load": 1.0}}, {"start": {"x": 0.0}}])
+def test_what_a_run_is_told_is_refused_of_recordings(option):
+    ramps = recorded(np.interp(np.arange(0, 20, 0.01), [0, 10, 20], [-1, 1, -1]))
+    with pytest.raises(DeclarationError, match=f"{next(iter(option))} tells of a block or a model"):
+        characteristic(ramps, "current", "position", **option)
+
+
+@pytest.mark.parametrize("option", [{"delay": 0.01}, {"moving": True}])
+def test_what_recordings_are_told_is_refused_of_a_model(option):
+    with pytest.raises(DeclarationError, match=f"{next(iter(option))} tells of recordings"):
+        characteristic(quasi_static(), "current", "position", **option)

@@ -134,10 +134,22 @@ def characteristic(
             raise DeclarationError(f"characteristic: {option} must be positive (got {value}). Give seconds, as 0.5.")
     if hasattr(source, "flat"):
         source = lower(source, period or 0.01)
+    run = {"limits": limits, "others": others, "start": start}
+    _refuse_idle({"delay": delay, "moving": moving} if isinstance(source, Block) else run, isinstance(source, Block))
     if isinstance(source, Block):
         return _of_block(source, input, output, rate, settle, window, limits, others or {}, start or {}, period)
     records = [source] if isinstance(source, Record) else list(source)
     return _of_records(records, input, output, rate, settle, window, delay, steady, moving, period)
+
+
+def _refuse_idle(options: Mapping[str, object], runs: bool) -> None:
+    """Raise DeclarationError for an option that says nothing of such a source."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        kinds = ("recordings", "a block or a model") if runs else ("a block or a model", "recordings")
+        raise DeclarationError(
+            f"characteristic: {' and '.join(given)} tells of {kinds[0]}, and nothing of {kinds[1]}. Leave it out."
+        )
 
 
 def asked_signal(output: Signal, rate: bool) -> Signal:

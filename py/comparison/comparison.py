@@ -238,7 +238,12 @@ class Comparison:
     @cached_property
     def copies(self) -> tuple[tuple[Record, Record], ...]:
         """Pairs of recordings, of the training too, that are one in files of other bytes."""
-        return tuple(copies([*self.train_records, *self.records]))
+        return tuple(copies([*self.train_records, *self.records], self._measured))
+
+    @cached_property
+    def _measured(self) -> frozenset[str]:
+        """Columns by which recordings of the same commands are told apart."""
+        return frozenset(s.name for e in self.entrants for s in e.outputs)
 
     @cached_property
     def train_rows(self) -> tuple[dict, ...]:
@@ -250,7 +255,7 @@ class Comparison:
         """Whether a recording, in whatever file, is one of the ``rows`` of what something was made from: the one place
         that says so (`records.follows`)."""
         same = [r for pair in self.copies if any(r is record for r in pair) for r in pair]
-        return bool(rows) and any(follows(rows, r) for r in (record, *same))
+        return bool(rows) and any(follows(rows, r, self._measured) for r in (record, *same))
 
     @property
     def models(self) -> tuple[str, ...]:

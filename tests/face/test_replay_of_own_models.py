@@ -170,6 +170,12 @@ def test_of_equations_that_were_edited_under_the_values_of_a_fit_no_band_is_told
         assert ht.load(model).provenance["spread"]
     assert hydrotwin(*words, "--out", tmp_path / "a", "--accept", "position.rmse < 1 m", "--record", values).code == 0
     assert hydrotwin("check", model).code == 0
+    answer = hydrotwin("check", values)  # of the code, which it may not start, it had said nothing
+    assert answer.code == 0 and f"Name the code: hydrotwin check {folder}/rig.py:slide@" in answer.said.replace(
+        "\n", " "
+    )
+    assert "not looked at" in json.loads(hydrotwin("check", values, "--json").out)["unchecked"]
+    assert not json.loads(hydrotwin("check", model, "--json").out)["unchecked"]
     code.write_text(CODE.replace("Viscous(viscous=200.0)", "Viscous(viscous=201.0)"), encoding="utf-8")
     assert hydrotwin("check", model).code == 0, "a value of the code that the file holds is no equation"
     code.write_text(CODE.replace("self.position == self", "self.position == 1.5 * self"), encoding="utf-8")

@@ -177,6 +177,7 @@ class Comparison:
     ``means`` are Scores with record = MEAN. ``records`` are the validation recordings, ``train_records`` those the
     models were made from. ``starts`` says how models start, where that was estimated. ``inaccurate`` are runs whose
     solver missed the accuracy. ``asked`` are the arguments of `compare` by which it can be made again, as data.
+    ``whole`` : the recordings, by their names, before they were thinned out; empty where they were not.
     """
 
     title: str
@@ -196,6 +197,7 @@ class Comparison:
     starts: tuple[Started, ...] = ()
     inaccurate: tuple[Inaccurate, ...] = ()
     asked: Mapping[str, object] = field(default_factory=dict)
+    whole: tuple[Record, ...] = ()
 
     def __repr__(self) -> str:
         on = ", ".join(r.name for r in self.records)
@@ -255,6 +257,7 @@ class Comparison:
         """Whether a recording, in whatever file, is one of the ``rows`` of what something was made from: the one place
         that says so (`records.follows`)."""
         same = [r for pair in self.copies if any(r is record for r in pair) for r in pair]
+        same += [r for r in self.whole if r.name == record.name]
         return bool(rows) and any(follows(rows, r, self._measured) for r in (record, *same))
 
     @property

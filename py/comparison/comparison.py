@@ -256,9 +256,19 @@ class Comparison:
     def follows(self, record: Record, rows: Sequence[Mapping]) -> bool:
         """Whether a recording, in whatever file, is one of the ``rows`` of what something was made from: the one place
         that says so (`records.follows`)."""
-        same = [r for pair in self.copies if any(r is record for r in pair) for r in pair]
-        same += [r for r in self.whole if r.name == record.name]
-        return bool(rows) and any(follows(rows, r, self._measured) for r in (record, *same))
+        if not rows:
+            return False
+        key = record, repr(rows)  # every criterion asks again
+        if key not in self._followed:
+            same = [r for pair in self.copies if any(r is record for r in pair) for r in pair]
+            same += [r for r in self.whole if r.name == record.name]
+            self._followed[key] = any(follows(rows, r, self._measured) for r in (record, *same))
+        return self._followed[key]
+
+    @cached_property
+    def _followed(self) -> dict[tuple[Record, str], bool]:
+        """What `follows` has answered."""
+        return {}
 
     @property
     def models(self) -> tuple[str, ...]:

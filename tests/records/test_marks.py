@@ -104,6 +104,18 @@ def test_what_was_named_as_training_is_known_so_too(tmp_path, way):
     assert f"judged on {other.name}, named as what the models were made from, too" in one.caution
 
 
+def test_criteria_do_not_look_through_a_recording_again(monkeypatch):
+    """Each did, for each of its outputs: of 100 recordings and 12 outputs for half a minute."""
+    model, asked = Toy("fitted"), []
+    model.provenance = {"trained_on": [told()]}
+    found = compare([model], [recording(2)], repeats=0, modes=("free run",), train_records=[SEEN])
+    monkeypatch.setattr(
+        "hydrotwin.comparison.comparison.follows", lambda *given: asked.append(given) or follows(*given)
+    )
+    judged = acceptance(found, Wanted(("fit > -1000 %", "arm_angle.rmse < 90 deg", "nrmse < 90 %"))).judged
+    assert len(judged) == 3 and len(asked) == 2  # by what the model says, and by what was named
+
+
 def test_another_run_of_the_same_command_is_another_recording():
     """A replayed command is the same to the last digit: what was measured tells."""
     random, sigma = np.random.default_rng(9), {"arm_angle": 2e-4, "motor_speed": 2.0, "pressure_cap": 8e3}

@@ -20,7 +20,7 @@ from importlib.metadata import PackageNotFoundError, version
 import tomlkit
 
 from .errors import DataError
-from .provenance import MADE_FROM, MARKED, SAMPLES, SINCE, known_by, made_from_rows
+from .provenance import MADE_FROM, MARKED, OTHERS, SAMPLES, SINCE, known_by, made_from_rows
 from .writing import toml_values
 
 FORMAT = 1  # of the block; goes up where keys change their meaning or go
@@ -251,12 +251,12 @@ def _digest(data: object) -> str:
 
 def with_made_from(known: Credibility | None, provenance: Mapping) -> Credibility | None:
     """What vouches for a model, with the recordings that its values follow as its provenance says, where no evidence
-    names them: of values that were edited or set, or that no file holds."""
-    own = known or Credibility()
+    names them: of values that were edited or set, or that no file holds. Under other equations nothing else does."""
+    own = Credibility() if OTHERS in provenance.get(SINCE, ()) else known or Credibility()
     named = {r["sha256"] or r["name"] for r in own.fitted_on}
     rows = [r for r in made_from_rows(provenance) if (r["sha256"] or r["name"]) not in named]
     if not rows:
-        return known
+        return None if known is None else own
     by = LEARN if any(provenance.get(key) for key in MADE_FROM) else IDENTIFY
     facts = {SINCE: list(provenance[SINCE])} if provenance.get(SINCE) else {}
     new = Evidence(by, "", "", versions(), tuple({**r, "role": FIT} for r in rows), facts=facts)

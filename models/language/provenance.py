@@ -37,7 +37,8 @@ def lasting(provenance: Mapping, since: str, stay: bool = True) -> dict:
     """
     gone = OF_FIT if stay else (*OF_FIT, *OF_VALUES)
     kept = {key: value for key, value in provenance.items() if key not in gone}
-    lost = [*provenance.get(SINCE, ()), *([since] if {*JOINED, SINCE} & provenance.keys() else [])]
+    told = since == OTHERS or {*JOINED, SINCE} & provenance.keys()  # under others nothing that was found of it holds
+    lost = [*provenance.get(SINCE, ()), *([since] if told else [])]
     return kept | ({SINCE: list(dict.fromkeys(lost))} if lost else {})
 
 

@@ -178,6 +178,7 @@ class Comparison:
     ``means`` are Scores with record = MEAN. ``records`` are the validation recordings, ``train_records`` those the
     models were made from. ``starts`` says how models start, where that was estimated. ``inaccurate`` are runs whose
     solver missed the accuracy. ``asked`` are the arguments of `compare` by which it can be made again, as data.
+    ``whole`` : the recordings, by their names, before they were thinned out; empty where they were not.
     """
 
     title: str
@@ -197,6 +198,7 @@ class Comparison:
     starts: tuple[Started, ...] = ()
     inaccurate: tuple[Inaccurate, ...] = ()
     asked: Mapping[str, object] = field(default_factory=dict)
+    whole: tuple[Record, ...] = ()
 
     def __repr__(self) -> str:
         on = ", ".join(r.name for r in self.records)
@@ -239,7 +241,12 @@ class Comparison:
     @cached_property
     def copies(self) -> tuple[tuple[Record, Record], ...]:
         """Pairs of recordings, of the training too, that are one in files of other bytes."""
-        return tuple(copies([*self.train_records, *self.records]))
+        return tuple(copies([*self.train_records, *self.records], self._measured))
+
+    @cached_property
+    def _measured(self) -> frozenset[str]:
+        """Columns by which recordings of the same commands are told apart."""
+        return frozenset(s.name for e in self.entrants for s in e.outputs)
 
     @cached_property
     def train_rows(self) -> tuple[dict, ...]:
@@ -250,8 +257,19 @@ class Comparison:
     def follows(self, record: Record, rows: Sequence[Mapping]) -> bool:
         """Whether a recording, in whatever file, is one of the ``rows`` of what something was made from: the one place
         that says so (`records.follows`)."""
-        same = [r for pair in self.copies if any(r is record for r in pair) for r in pair]
-        return bool(rows) and any(follows(rows, r) for r in (record, *same))
+        if not rows:
+            return False
+        key = record, repr(rows)  # every criterion asks again
+        if key not in self._followed:
+            same = [r for pair in self.copies if any(r is record for r in pair) for r in pair]
+            same += [r for r in self.whole if r.name == record.name]
+            self._followed[key] = any(follows(rows, r, self._measured) for r in (record, *same))
+        return self._followed[key]
+
+    @cached_property
+    def _followed(self) -> dict[tuple[Record, str], bool]:
+        """What `follows` has answered."""
+        return {}
 
     @property
     def models(self) -> tuple[str, ...]:

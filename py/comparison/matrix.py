@@ -218,6 +218,8 @@ def _run(scenario: Scenario, one: _Prepared, read, where: Where, repeats: int, b
     records = [thinned(r, variant.period) for r in read[0]]
     try:
         found = compare_as(described, one.contenders, records, read[1], where, repeats)
+        if base is not None and variant.period is not None:
+            found = dataclasses.replace(found, whole=base.records)
     except DataError as error:
         if base is None:
             raise

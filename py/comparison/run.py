@@ -37,6 +37,7 @@ from .domain import domain_shares
 from .elsewhere import input_names, other_reasons
 from .job import KEPT, WARNINGS, Done, Job, Plan, Run, run_job
 from .rates import rate_signal, with_rates
+from .tags import check_tags
 from .travel import Carried, travels
 
 TIMED = 3  # recordings, the first, on which runs are repeated for their time
@@ -82,7 +83,8 @@ def compare(
         recording at least, and by default all.
 
     A contender that fails on a recording is a row of ``failures``. Raises DeclarationError for names that are used
-    twice or not known and for an executor that is not there, DataError when there is nothing to compare.
+    twice or not known, one condition in two writings, and an executor that is not there, DataError when there is
+    nothing to compare.
     """
     _require_lists(contenders=contenders, records=records, modes=modes, outputs=outputs or (), rates=rates)
     contenders = [as_contender(c) for c in contenders]
@@ -291,6 +293,7 @@ def _check(contenders: Sequence[Contender], records: Sequence[Record], modes: Se
         raise DataError(f"compare: nothing to compare (got 0 {what}). Give at least one model and one recording.")
     require_own_names(contenders)
     check_modes(modes)
+    check_tags(records)
 
 
 def check_modes(modes: Sequence[str]) -> None:

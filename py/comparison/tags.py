@@ -58,7 +58,7 @@ class Tags:
         """
         said = {printable(str(tag)).strip(): value for tag, value in self.by_file.get(path, {}).items()}
         told = {tag: _from_column(record, tag, what) for tag, what in self.columns.items() if tag not in said}
-        all_told = {**self._from_name(path), **told, **said}
+        all_told = {**self._from_name(path, {**told, **said}), **told, **said}
         found = {tag: _plain(f"tags: {tag} of {record.name}", value) for tag, value in all_told.items()}
         for tag in (t for t, value in found.items() if not value):
             raise DeclarationError(
@@ -66,7 +66,8 @@ class Tags:
             )
         return replace(record, tags={**record.tags, **found})
 
-    def _from_name(self, path: Path) -> dict[str, str]:
+    def _from_name(self, path: Path, told: Mapping) -> dict[str, str]:
+        """What the name says; where it is not of the pattern, nothing, if all that it would say is ``told``."""
         if not self.pattern:
             return {}
         names = _NAME.findall(self.pattern)
@@ -79,12 +80,13 @@ class Tags:
         values = [f"(?P<{p}>[^_]+)" for p in parts[1::2]]
         expression = "".join(itertools.chain(*itertools.zip_longest(fixed, values, fillvalue="")))
         found = re.fullmatch(expression, _bare(path))
-        if not found:
+        lacks = [name for name in names if name not in told]
+        if not found and lacks:
             raise DeclarationError(
                 f"tags: '{self.pattern}' does not fit '{path.name}'. Mend the pattern, or give its tags beside it: "
-                f"{{file = '{path.name}', tags = {{{names[0]} = ...}}}}."
+                f"{{file = '{path.name}', tags = {{{', '.join(f'{name} = ...' for name in lacks)}}}}}."
             )
-        return found.groupdict()
+        return found.groupdict() if found else {}
 
 
 def _from_column(record: Record, tag: str, what: str) -> str:

@@ -66,7 +66,7 @@ def split(
     """
     if not len(records):
         raise DataError(f"gap: no recording of {flat.name}. Give at least one, better three, and one to validate.")
-    require_unseen(records, validate)
+    require_unseen(records, validate, [s.name for s in flat.outputs])
     lone = records[0].name if len(records) == 1 else None
     records, validate = (unbroken_for(flat, some) for some in distinct(records, validate))
     findings = [f"gap: {sentence}" for sentence in cuts([*records, *validate])]

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hydrotwin.models.language.credibility import Credibility
+from hydrotwin.models.language.credibility import Credibility, with_made_from
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal, StateVariable
 from hydrotwin.models.language.units import compatible
@@ -223,6 +223,11 @@ def _connector(variable, kind: str, fmu: FmuBlock) -> Connector:
     return Connector(variable.name, kind, unit=own_unit(variable.name, fmu.description))
 
 
+def _vouching(part: SystemPart) -> Credibility | None:
+    """What is said of the values of a part, as the record inside its FMU says it."""
+    return part.credibility and with_made_from(part.credibility, getattr(part.thing, "flat", part.thing).provenance)
+
+
 def _put_parameter_sets(files: dict, parts: Sequence[SystemPart], names: Mapping[str, str], version: str) -> list[str]:
     """Write nominal.ssv and identified.ssv, in 2.0 with identified.srmd; returns the one that applies."""
     nominal, identified = [], []
@@ -234,7 +239,8 @@ def _put_parameter_sets(files: dict, parts: Sequence[SystemPart], names: Mapping
             nominal.append(Parameter(name, float(part.nominal.get(p.name, p.value)), unit))
             if part.nominal:
                 identified.append(Parameter(name, float(p.value), unit, p.sigma))
-    known = {names[p.name]: p.credibility for p in parts if p.nominal and p.credibility and p.credibility.evidence}
+    told = {names[p.name]: _vouching(p) for p in parts if p.nominal}
+    known = {name: one for name, one in told.items() if one and one.evidence}
     traced = "identified.srmd" if known and version == NEWEST else ""
     bound = []
     for name, parameters, source in (("nominal", nominal, ""), ("identified", identified, traced)):

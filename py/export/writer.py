@@ -104,8 +104,9 @@ def export_fmu(
     experiments : recordings with what the model gives for them, as `reference_experiment` makes them; they and a
         ``reference`` that is small go along as FMI-LS-REF says, for whoever wants to run them again. Their inputs and
         starts are copied into the FMU.
-    credibility : of its model file; goes along as the FMU's record. It names recordings and holds no measurements. What
-        the model says itself of which recordings its values follow goes along, too.
+    credibility : what holds of its model file (``file.credibility.of(file.contents)``); goes along as the FMU's record.
+        It names recordings and holds no measurements. What the model says itself of which recordings its values follow
+        goes along, too; of equations that are others than the fit's that alone.
 
     The same arguments give the same bytes. Returns the path. Raises DeclarationError for what cannot be exported,
     SolveError when no compiler works.

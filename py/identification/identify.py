@@ -95,7 +95,7 @@ def identify(
     if weights not in WEIGHTS:
         raise DeclarationError(f"identify: no weights '{weights}'. {nearest(weights, WEIGHTS)}")
     parameters = free_parameters(flat, free, start, bounds)
-    require_unseen(records, validate)
+    require_unseen(records, validate, [s.name for s in flat.outputs])
     records, validate = (unbroken_for(flat, some) for some in distinct(records, validate))
     train = recordings(flat, records, outputs, "record")
     sigma = output_noise(flat, train, noise)

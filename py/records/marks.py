@@ -4,13 +4,14 @@ A file of the same samples may have other bytes: other line ends, compressed, in
 another order, with more of them, its rows cut. So who keeps which recordings a model was made from keeps, beside the
 SHA-256 of the file, at `MARKS` places of each column that moves there a hash of `TAPS` samples in `DIGITS` digits of
 SI. Where all columns that both have, two at least, have the same hashes in one row, the samples are those. A second run
-of the same command differs by the noise of its sensors. A resampled or filtered copy is another recording, and so is
+of the same commands differs by the noise of its sensors: commands alone tell nothing, so each column counts by its own
+marks, and one that a sensor measured must be among them. A resampled or filtered copy is another recording, and so is
 one of fewer digits.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -42,7 +43,8 @@ def row_of(record: Record, names: Iterable[str] | None = None, role: str = "") -
 def marks_of(record: Record, names: Iterable[str] | None = None) -> dict[str, str]:
     """The marks of its columns, one behind the other; none of what is too short or where fewer than two move."""
     rows = np.unique(np.linspace(0, len(record) - 1, TRIED).astype(int))
-    chosen = [n for n in (record.names if names is None else dict.fromkeys(names)) if n in record.signals]
+    own = set(record.names)  # one that cannot be used need not be one that is needed
+    chosen = [n for n in (record.names if names is None else dict.fromkeys(names)) if n in own]
     found = {name: _hashes(record[name], rows) for name in chosen}
     found = dict(sorted(found.items(), key=lambda one: -np.count_nonzero(one[1]))) if names is None else found
     found = {name: found[name] for name in list(found)[: COLUMNS if names is None else None] if found[name].any()}
@@ -53,21 +55,25 @@ def marks_of(record: Record, names: Iterable[str] | None = None) -> dict[str, st
     return {name: "".join(f"{h:0{HASH}x}" for h in found[name][at]) for name in sorted(found)} if len(at) else {}
 
 
-def follows(rows: Sequence[Mapping], record: Record) -> bool:
-    """Whether a recording, or the part of it that counts, is one of ``rows``: by its SHA-256, or by its samples."""
+def follows(rows: Sequence[Mapping], record: Record, measured: Collection[str] | None = None) -> bool:
+    """Whether a recording, or the part of it that counts, is one of ``rows``: by its SHA-256, or by its samples.
+
+    measured : columns of which one must be among those that both have, for commands may be repeated; None for any.
+    """
     if record.digest and any(row.get("sha256") == record.digest for row in rows):
         return True
     every: dict[str, np.ndarray] = {}
-    return any(_met(row, record, every) for row in rows)
+    return any(_met(row, record, every, measured) for row in rows)
 
 
-def _met(row: Mapping, record: Record, every: dict[str, np.ndarray]) -> bool:
+def _met(row: Mapping, record: Record, every: dict[str, np.ndarray], measured: Collection[str] | None) -> bool:
     """Whether enough of its marks are met; every : hashes at all samples of the recording, by column, as they are
     asked for."""
     marks, samples = row.get(MARKED), row.get(SAMPLES)
     if not isinstance(marks, Mapping) or type(samples) is not int:
         return False
-    told = {n: _numbers(text) for n, text in marks.items() if n in record.signals and isinstance(text, str)}
+    own = set(record.names)
+    told = {n: _numbers(text) for n, text in marks.items() if n in own and isinstance(text, str)}
     count = min(map(len, told.values()), default=0)
     least = max(FEWEST, SHARE * count * min(1.0, len(record) / max(samples, 1)))
     left = {k: None for k in range(count) if sum(h[k] > 0 for h in told.values()) > 1}  # of each the rows that have it
@@ -78,7 +84,17 @@ def _met(row: Mapping, record: Record, every: dict[str, np.ndarray]) -> bool:
             every[name] = _every_hash(record[name])
         there = {k: _having(every[name], hashes[k], at) for k, at in left.items() if hashes[k]}
         left = {k: there.get(k, at) for k, at in left.items() if k not in there or len(there[k])}
-    return len(left) >= least
+    met = {name: sum(hashes[k] > 0 for k in left) for name, hashes in told.items()}
+    if len(left) < least or (measured is not None and not any(met.get(name) for name in measured)):
+        return False
+    return all(met[name] >= _fewest(hashes, count, samples, every[name]) for name, hashes in told.items())
+
+
+def _fewest(hashes: Sequence[int], count: int, samples: int, every: np.ndarray) -> int:
+    """How many of the marks of one column must be met: of those of a recording of so many samples the share that a copy
+    would meet in which it moves as often as in this one."""
+    moves = np.count_nonzero(every[0]) / max(samples, 1)
+    return int(SHARE * min(sum(h > 0 for h in hashes), count * moves))
 
 
 def _having(hashes: np.ndarray, wanted: int, rows: np.ndarray | None) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -158,12 +158,12 @@ def _divided(unit: str, over: str) -> str:
     return f"{unit}/{over}" if unit and "/" not in unit else f"({unit})/{over}"
 
 
-def require_once(records: Sequence[Record], samples: bool = False) -> None:
+def require_once(records: Sequence[Record], twice: Iterable[tuple[Record, Record]] = ()) -> None:
     """DataError when two were read from files that hold the same: it would count twice, in every fit and every mean.
 
-    samples : the same samples, too, in files of other bytes.
+    twice : pairs that are the same in files of other bytes, too: `copies`.
     """
-    first: dict[str, Record] = {other.digest or str(id(other)): one for one, other in copies(records) if samples}
+    first: dict[str, Record] = {other.digest or str(id(other)): one for one, other in twice}
     for record in records:
         same = first.setdefault(record.digest or str(id(record)), record)
         if same is not record:
@@ -173,21 +173,27 @@ def require_once(records: Sequence[Record], samples: bool = False) -> None:
             )
 
 
-def shares_samples(record: Record, other: Record) -> bool:
+def shares_samples(record: Record, other: Record, measured: Collection[str] | None = None) -> bool:
     """Whether one is a copy of the other, or of a part of it: columns cut off, digits rounded, shorter, from time zero.
 
-    At half of the times of the shorter or more, all columns that both have, and that move, hold the same.
+    At half of the times of the shorter or more, all columns that both have hold the same. Commands may be repeated: two
+    columns move at least, and one of those that a sensor ``measured``; None for any.
     """
     if record is other or (record.digest and record.digest == other.digest):
         return True
     short, long = sorted((record, other), key=lambda r: len(r.time))
-    return any(_same_at(short, long, shift) for shift in (0.0, *_shifts(short, long)))
+    return any(_same_at((short, long), shift, measured) for shift in (0.0, *_shifts(short, long)))
 
 
-def require_unseen(records: Sequence[Record], validate: Sequence[Record]) -> None:
-    """DataError when one of ``validate`` is one of ``records``, which are learned from, or a part or a copy of it."""
+def require_unseen(
+    records: Sequence[Record], validate: Sequence[Record], measured: Collection[str] | None = None
+) -> None:
+    """DataError when one of ``validate`` is one of ``records``, which are learned from, or a part or a copy of it.
+
+    measured : the columns that tell, see `shares_samples`.
+    """
     for record in validate:
-        same = next((r for r in records if shares_samples(record, r)), None)
+        same = next((r for r in records if shares_samples(record, r, measured)), None)
         if same is not None:
             raise DataError(
                 f"{record.source or record.name}: samples of {same.source or same.name}, which is learned from. Only "
@@ -195,9 +201,12 @@ def require_unseen(records: Sequence[Record], validate: Sequence[Record]) -> Non
             )
 
 
-def copies(records: Sequence[Record]) -> list[tuple[Record, Record]]:
+def copies(records: Sequence[Record], measured: Collection[str] | None = None) -> list[tuple[Record, Record]]:
     """Pairs of which the second holds what the first does, sample by sample, in a file of other bytes: other line ends,
-    another format, other digits. Quick for many: only those are looked through whose columns have the same means."""
+    another format, other digits. Quick for many: only those are looked through whose columns have the same means.
+
+    measured : the columns that tell, see `shares_samples`.
+    """
     same_length: dict[int, list[tuple[Record, Mapping[str, tuple[float, float]]]]] = {}
     for record in records:
         same_length.setdefault(len(record), []).append((record, _means(record)))
@@ -206,7 +215,7 @@ def copies(records: Sequence[Record]) -> list[tuple[Record, Record]]:
         for some in same_length.values()
         for k, (other, told) in enumerate(some)
         for one, known in some[:k]
-        if one.digest != other.digest and _alike(known, told) and shares_samples(one, other)
+        if one.digest != other.digest and _alike(known, told) and shares_samples(one, other, measured)
     ]
 
 
@@ -219,31 +228,47 @@ def _means(record: Record) -> dict[str, tuple[float, float]]:
 
 def _alike(one: Mapping[str, tuple[float, float]], other: Mapping[str, tuple[float, float]]) -> bool:
     shared = [n for n in one if n in other]
-    return bool(shared) and all(abs(one[n][0] - other[n][0]) <= ALIKE * max(one[n][1], other[n][1]) for n in shared)
+    return bool(shared) and all(
+        abs(one[n][0] - other[n][0]) <= _room(max(one[n][1], other[n][1]), one[n][0]) for n in shared
+    )
+
+
+def _room(reach: float, value: float) -> float:
+    """By how much two of the same may differ, of a column that moves by ``reach``; of one that does not, by its size:
+    200 psi is not to the last digit what it is in bar."""
+    return ALIKE * (reach or abs(value))
+
+
+def _shared(one: Record, other: Record) -> list[str]:
+    """The columns that both have; one that cannot be used is none, for it need not be one that is needed."""
+    there = set(other.names)
+    return [name for name in one.names if name in there]
 
 
 def _shifts(short: Record, long: Record) -> list[float]:
     """Times [s] by which the longer may be later, as the middle sample of the shorter says: few where it moves."""
-    shared, middle = [n for n in short.names if n in long], len(short.time) // 2
+    shared, middle = _shared(short, long), len(short.time) // 2
     same = np.ones(len(long.time), dtype=bool)
     for name in shared:
-        same &= np.abs(long[name] - short[name][middle]) <= ALIKE * np.ptp(short[name])
+        value = short[name][middle]
+        same &= np.abs(long[name] - value) <= _room(np.ptp(short[name]), value)
     return (long.time[same][:PLACES] - short.time[middle]).tolist() if shared else []
 
 
-def _same_at(short: Record, long: Record, shift: float) -> bool:
-    """Whether the shorter, so many seconds [s] later, holds what the longer does."""
+def _same_at(two: tuple[Record, Record], shift: float, measured: Collection[str] | None) -> bool:
+    """Whether the shorter of two, so many seconds [s] later, holds what the longer does."""
+    short, long = two
     times = short.time + shift
     near = 1e-6 * float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     at = np.clip(np.searchsorted(long.time, times - near), 0, len(long.time) - 1)
     both = np.abs(long.time[at] - times) <= 2 * near
     if both.sum() < HALF * len(times):
         return False
-    moving = 0
-    for name in (n for n in short.names if n in long):
+    moving = []
+    for name in _shared(short, long):
         mine, its = short[name][both], long[name][at[both]]
-        reach = np.nanmax(mine, initial=-np.inf) - np.nanmin(mine, initial=np.inf)
-        if np.nanmax(np.abs(mine - its), initial=0.0) > ALIKE * max(reach, 0.0):
+        low, high = np.nanmin(mine, initial=np.inf), np.nanmax(mine, initial=-np.inf)
+        if np.nanmax(np.abs(mine - its), initial=0.0) > _room(max(high - low, 0.0), high):
             return False
-        moving += reach > 0
-    return moving > 1
+        moving += [name] if high > low else []
+    return len(moving) > 1 and (measured is None or any(name in measured for name in moving))

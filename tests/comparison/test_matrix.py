@@ -16,7 +16,7 @@ from hydrotwin.comparison import Where, compare, read_scenario, run_matrix, run_
 from hydrotwin.comparison.comparison import Inaccurate
 from hydrotwin.models import cehA
 from hydrotwin.models.language.errors import DeclarationError, UnitError
-from hydrotwin.records import write_record
+from hydrotwin.records import read_record, row_of, write_record
 from hydrotwin.report import as_html, as_markdown, matrix_page
 from hydrotwin.report.matrix import variants_data
 from hydrotwin.work.executor import executor_for
@@ -184,6 +184,22 @@ def test_criteria_are_about_every_variant_or_those_they_name(folder):
     assert not found.accepted.passed and found["slow"].accepted.passed
     assert found.accepted.judged[0].criterion.text == "variant=cold: load=2: motor_speed.rmse < 0.01 rad/s"
     assert [one.passed for one in found.accepted.judged] == [False, True, True, True, True]
+
+
+def test_recordings_of_a_training_are_known_where_a_variant_thins_them_out(folder):
+    """Of a copy in other bytes every variant said that the model was made from it, but for the one with a period."""
+    seen = drive().with_parameters({"motor.gain": 9.0})
+    row = row_of(read_record(folder / "load1.csv"), ("command", "position")) | {
+        "sha256": "other bytes",
+        "role": "train",
+    }
+    seen = replace(seen, provenance={"recordings": [row]})
+    said = 'accept = ["position.rmse < 100 m"]\nmodes = ["free run"]\n'
+    text = (
+        said + MODELS.replace('{model = "weak", name = "weak"}, "hold_last"', "") + "[variants.slow]\nperiod = 0.04\n"
+    )
+    found = run_matrix(scenario(folder, text), lambda name: seen, repeats=0)
+    assert [one.seen for one in found.accepted.judged] == [("load1",), ("load1",)]
 
 
 def test_a_variant_that_an_earlier_comparison_does_not_have_costs_only_itself(folder):

@@ -252,3 +252,19 @@ def test_a_recording_that_is_called_like_a_tag_of_others_does_not_join_them():
     alike = compare([Toy("good")], [replace(named, tags={"load": "2"}), other], repeats=0, modes=("free run",))
     (one,) = acceptance(alike, Wanted(("load=2: arm_angle.rmse < 9 deg",))).judged
     assert one.samples == len(named) + len(other)  # the condition, of which it is
+
+
+def test_a_name_that_does_not_fit_is_no_matter_where_its_tags_are_told(tmp_path):
+    """The refusal says to tell them beside the file, and had refused that, too."""
+    path = tmp_path / "other.csv"
+    both, pattern = {"load": 2, "stroke": 3}, "load{load}_stroke{stroke}"
+    assert Tags(pattern, {path: both}).put(toy(1), path).tags == {"load": "2", "stroke": "3"}
+    with pytest.raises(DeclarationError, match=r"does not fit 'other.csv'.*tags = \{load = \.\.\.\}"):
+        Tags(pattern, {path: {"stroke": 3}}).put(toy(1), path)
+
+
+def test_one_condition_in_two_writings_is_refused_from_python_too():
+    """A criterion on load=2 was of both recordings, and the table of conditions parted them."""
+    records = [replace(toy(k), tags={"load": load}) for k, load in ((1, "2"), (2, "2.0"))]
+    with pytest.raises(DeclarationError, match=r"load is 2 of validation_1 and 2\.0 of validation_2"):
+        compare([Toy("good")], records, repeats=0)

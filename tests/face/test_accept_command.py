@@ -41,6 +41,8 @@ def test_a_run_that_ends_without_a_verdict_leaves_none_of_an_earlier_one(recordi
         ("--validate", lost),
         ("--validate", lost, "--output", "nothing"),
         ("--validate", tmp_path / "gone.csv"),
+        ("--validate", recordings / "validate_1.csv", "--rate", "fast"),  # options that are understood before files
+        ("--validate", recordings / "validate_1.csv", "--ssp", tmp_path / "models.zip"),
     ):
         answer = hydrotwin(*words, *way, "--junit", file)
         assert answer.code == 2 and not file.exists()

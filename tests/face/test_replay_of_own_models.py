@@ -12,6 +12,7 @@ import pytest
 
 import hydrotwin as ht
 from hydrotwin.comparison import Wanted, acceptance, replay
+from hydrotwin.export.inside import record_of
 from hydrotwin.models.language.credibility import StaleEvidenceWarning
 from hydrotwin.records import Record, write_record
 from tests.face.command_line import hydrotwin
@@ -169,6 +170,12 @@ def test_of_equations_that_were_edited_under_the_values_of_a_fit_no_band_is_told
         assert ht.load(model).provenance["spread"]
     assert hydrotwin(*words, "--out", tmp_path / "a", "--accept", "position.rmse < 1 m", "--record", values).code == 0
     assert hydrotwin("check", model).code == 0
+    answer = hydrotwin("check", values)  # of the code, which it may not start, it had said nothing
+    assert answer.code == 0 and f"Name the code: hydrotwin check {folder}/rig.py:slide@" in answer.said.replace(
+        "\n", " "
+    )
+    assert "not looked at" in json.loads(hydrotwin("check", values, "--json").out)["unchecked"]
+    assert not json.loads(hydrotwin("check", model, "--json").out)["unchecked"]
     code.write_text(CODE.replace("Viscous(viscous=200.0)", "Viscous(viscous=201.0)"), encoding="utf-8")
     assert hydrotwin("check", model).code == 0, "a value of the code that the file holds is no equation"
     code.write_text(CODE.replace("self.position == self", "self.position == 1.5 * self"), encoding="utf-8")
@@ -185,6 +192,11 @@ def test_of_equations_that_were_edited_under_the_values_of_a_fit_no_band_is_told
     assert answer.code == 1 and "STALE" in answer.said and "equations are others" in answer.said
     answer = hydrotwin(*words, "--out", tmp_path / "b", "--record", values)
     assert answer.code == 2 and "Identify the model again" in answer.said
+    assert hydrotwin("export", model, "--out", tmp_path / "m.fmu").code == 0
+    (inside,) = record_of(tmp_path / "m.fmu").credibility.evidence  # neither what it held nor what judged it
+    assert inside.passed is None and not inside.metrics and "its equations are others than" in inside.told
+    known = ht.load(str(tmp_path / "m.fmu")).provenance
+    assert any("equations are others than" in since for since in known["since the fit"]) and known["trained_on"]
     old = values.read_text(encoding="utf-8")
     values.write_text(re.sub(r"(?m)^equations = .*\n", "", old), encoding="utf-8")
     assert ht.load(model).provenance["spread"], "a file of before goes by what it says"

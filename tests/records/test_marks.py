@@ -13,7 +13,16 @@ from hydrotwin.comparison.notices import seen_before
 from hydrotwin.models.language.credibility import FIT, LEARN, Credibility, Evidence, with_made_from
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.provenance import MARKED, made_from_rows
-from hydrotwin.records import Record, follows, read_record, row_of, write_record
+from hydrotwin.records import (
+    Record,
+    copies,
+    follows,
+    read_record,
+    require_unseen,
+    row_of,
+    shares_samples,
+    write_record,
+)
 from tests.comparison.toys import Toy, recording
 
 SEEN = recording(1, name="train")
@@ -95,6 +104,18 @@ def test_what_was_named_as_training_is_known_so_too(tmp_path, way):
     assert f"judged on {other.name}, named as what the models were made from, too" in one.caution
 
 
+def test_criteria_do_not_look_through_a_recording_again(monkeypatch):
+    """Each did, for each of its outputs: of 100 recordings and 12 outputs for half a minute."""
+    model, asked = Toy("fitted"), []
+    model.provenance = {"trained_on": [told()]}
+    found = compare([model], [recording(2)], repeats=0, modes=("free run",), train_records=[SEEN])
+    monkeypatch.setattr(
+        "hydrotwin.comparison.comparison.follows", lambda *given: asked.append(given) or follows(*given)
+    )
+    judged = acceptance(found, Wanted(("fit > -1000 %", "arm_angle.rmse < 90 deg", "nrmse < 90 %"))).judged
+    assert len(judged) == 3 and len(asked) == 2  # by what the model says, and by what was named
+
+
 def test_another_run_of_the_same_command_is_another_recording():
     """A replayed command is the same to the last digit: what was measured tells."""
     random, sigma = np.random.default_rng(9), {"arm_angle": 2e-4, "motor_speed": 2.0, "pressure_cap": 8e3}
@@ -102,6 +123,33 @@ def test_another_run_of_the_same_command_is_another_recording():
     replayed = dataclasses.replace(SEEN.with_signals(again), digest="1")
     assert not follows([told()], replayed) and not follows([told()], replayed.select(["command", "motor_speed"]))
     assert not any(follows([told()], recording(seed)) for seed in range(2, 8))
+
+
+def of_two_commands(seed: int, what: str = "level") -> Record:
+    """One course of two replayed commands, and a sensor that hardly moves: a level at its stops most of the time."""
+    time, random = np.arange(0.0, 30.0, 0.01), np.random.default_rng(seed)
+    commands = {"inlet": np.sin(1.9 * time), "outlet": np.cos(1.3 * time)}
+    level = np.clip(3.0 * commands["inlet"] + 0.02 * random.standard_normal(len(time)), -1.0, 1.0)
+    signals = commands | {what: level}
+    return Record(time, signals, dict.fromkeys(signals, "1"), f"run_{seed}", digest=f"{what} {seed}")
+
+
+def test_replayed_commands_tell_nothing_where_what_was_measured_seldom_moves():
+    """Where the sensor rested its marks were empty, and the commands alone made half of them."""
+    one, again = of_two_commands(1), of_two_commands(2)
+    assert follows([row_of(one)], dataclasses.replace(one, digest="copy"))
+    assert follows([row_of(one)], dataclasses.replace(one.window(5.0, 15.0), digest="part"))
+    assert not follows([row_of(one)], again)
+
+
+def test_replayed_commands_alone_make_no_recording_one_with_other_sensors():
+    """Two runs of which each has what the other lacks had been told to be one: a model of both was made from either."""
+    level, flow = of_two_commands(1), of_two_commands(2, "flow")
+    assert not follows([row_of(level)], flow, ("level", "flow"))
+    assert not copies([level, flow], ("level", "flow")) and not shares_samples(level, flow, ("level", "flow"))
+    require_unseen([level], [flow], ("level", "flow"))
+    more = dataclasses.replace(level.with_signals({"flow": flow["flow"]}, {"flow": "1"}), digest="more")
+    assert copies([level, more], ("level", "flow")) == [(level, more)] and follows([row_of(level)], more, ("level",))
 
 
 def test_a_recording_that_is_mostly_new_is_another():
@@ -159,7 +207,7 @@ def test_one_recording_in_two_files_counts_once_in_a_fit_and_does_not_judge_it(t
     both = [read_record(tmp_path / name) for name in ("one.csv", "two.csv")]
     require_once(both)
     with pytest.raises(DataError, match=r"two\.csv: the same recording as .*one\.csv"):
-        require_once(both, samples=True)
+        require_once(both, copies(both))
     run = recorded(drive(), 1, noise={"position": 1e-3})
     with pytest.raises(DataError, match="Only an unseen recording can judge"):
         identify(drive(), [run], validate=[dataclasses.replace(run, name="copy", digest="2")])

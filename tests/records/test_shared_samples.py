@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from hydrotwin.records import Record, copies, shares_samples
+from hydrotwin.records import Record, copies, follows, require_unseen, row_of, shares_samples
 
 
 def recording(seed: int, seconds: float = 20.0) -> Record:
@@ -60,6 +62,26 @@ def test_a_copy_or_a_part_is_known(copy):
 )
 def test_another_recording_of_the_same_commands_is_another(other):
     assert not shares_samples(other, ONE) and not shares_samples(ONE, other)
+
+
+def test_a_column_that_rests_is_the_same_in_another_unit():
+    """It is so but for the last digit of a float, which had made two recordings of one."""
+    units = {"pressure": "Pa"}
+    one, other = (
+        replace(ONE.with_signals({"pressure": np.full(len(ONE), value)}, units), digest=name)
+        for name, value in (("bar", 1.01353e5), ("psi", 14.7 * 6894.757293168361))
+    )
+    assert shares_samples(one, other) and copies([one, other]) == [(one, other)]
+    assert shares_samples(begun_anew(other.window(12.0, 19.0)), one)
+
+
+def test_a_column_that_nobody_needs_is_not_asked_for():
+    """One bad value in it, of the longer of two, had refused both."""
+    broken = replace(recording(2), refused={"oil": "row 35, column 'oil': no value."})
+    part = ONE.window(0.0, 15.0)
+    oil = part.with_signals({"oil": np.full(len(part), 313.0)}, {"oil": "K"})
+    require_unseen([oil], [broken], ("angle",))
+    assert not follows([row_of(oil) | {"marks": row_of(oil)["marks"] | {"oil": "0" * 8 * 48}}], broken)
 
 
 def test_copies_among_many_are_found_and_no_recording_of_the_same_commands_is_one():

@@ -18,7 +18,7 @@ from hydrotwin.records import Reading, all_unbroken, require
 from ..loading import load, origin
 from .comparing_many import AUTO, Runs, notes, print_matrix, run, tell_between_of, write
 from .exporting import credibility_told, equations_told
-from .own_answer import own_answer
+from .own_answer import answers
 from .recording_evidence import recorded_as
 from .recordings import reads, told_in
 from .shared import (
@@ -27,7 +27,6 @@ from .shared import (
     JsonOption,
     ValidateOption,
     check_file,
-    check_folder,
     err,
     examples,
     interpolation_from,
@@ -46,7 +45,7 @@ def register(app: typer.Typer) -> None:
             "hydrotwin compare --model model.toml --validate validate_1.csv --accept 'arm_angle.rmse < 0.2 deg' "
             "--record model.toml",
         )
-    )(reads(compare))
+    )(answers(reads(compare)))
 
 
 def compare(
@@ -121,104 +120,94 @@ def compare(
     from hydrotwin.comparison import MODES, Scenario, Tags, Wanted, asked_by, junit, read_scenario, record_comparison
     from hydrotwin.identification.beginning import MEASURED, check_initial_states
 
-    check_folder(output)
     if ssp is not None:
         check_file(ssp, ".ssp")
     check_ssp_version(ssp, ssp_version)
-    if junit_file is not None:
-        check_file(junit_file, ".xml")
-    with own_answer(output, junit_file):
-        _check_scenario(scenario)
-        if (scenario is None) == (not models):
-            raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
-        if scenario is None and not validate:
-            raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
-        said = {"--validate": validate, "--train": train, "--output": outputs, "--slope": rates, "--mode": modes}
-        said |= {
-            "--interpolation": interpolation,
-            "--tags": tags,
-            "--tag-column": tag_columns,
-            "--initial-states": initial_states != MEASURED,
-        }
-        doubled = [option for option, value in {**said, "--title": title}.items() if value]
-        doubled += told_in(reading)
-        if scenario is not None and scenario.is_file() and doubled:
-            raise DeclarationError(
-                f"compare: {scenario} says all, {' and '.join(doubled)} would be ignored. Write it into the file "
-                f"instead; a model is given by --model {shlex.quote(str(scenario))}."
-            )
-        asked = Wanted(tuple(accept or ()), judged, against)
-        if scenario is not None:
-            described = read_scenario(scenario)
-            described = replace(described, wanted=asked.over(described.wanted))
-        else:
-            described = Scenario(
-                title=title or "Comparison of models",
-                models=tuple(entry(m) for m in models),
-                validate=tuple(validate),
-                train=tuple(train or ()),
-                modes=tuple(modes or MODES),
-                outputs=tuple(outputs) if outputs else None,
-                rates=tuple(rates or ()),
-                reading=reading or Reading(),
-                interpolation=interpolation_from(interpolation),
-                initial_states=check_initial_states(initial_states, "compare"),
-                tags=Tags(tags, columns=told_columns(tag_columns)),
-                wanted=asked,
-            )
-        if junit_file is not None and not described.wanted.accept:
-            raise DeclarationError("compare: --junit writes criteria, and there are none. Give --accept CRITERION.")
-        if ssp is not None and described.variants:
-            raise DeclarationError(
-                "compare: --ssp packs the models of a scenario without variants. Leave one of them out."
-            )
-        from hydrotwin.report import notices_of_variants
-        from hydrotwin.report.written import note_written
+    _check_scenario(scenario)
+    if (scenario is None) == (not models):
+        raise DeclarationError("compare: give either a scenario file, or --model and --validate.")
+    if scenario is None and not validate:
+        raise DeclarationError("compare: no recording to compare on. Give --validate REC.")
+    said = {"--validate": validate, "--train": train, "--output": outputs, "--slope": rates, "--mode": modes}
+    said |= {
+        "--interpolation": interpolation,
+        "--tags": tags,
+        "--tag-column": tag_columns,
+        "--initial-states": initial_states != MEASURED,
+    }
+    doubled = [option for option, value in {**said, "--title": title}.items() if value]
+    doubled += told_in(reading)
+    if scenario is not None and scenario.is_file() and doubled:
+        raise DeclarationError(
+            f"compare: {scenario} says all, {' and '.join(doubled)} would be ignored. Write it into the file "
+            f"instead; a model is given by --model {shlex.quote(str(scenario))}."
+        )
+    asked = Wanted(tuple(accept or ()), judged, against)
+    if scenario is not None:
+        described = read_scenario(scenario)
+        described = replace(described, wanted=asked.over(described.wanted))
+    else:
+        described = Scenario(
+            title=title or "Comparison of models",
+            models=tuple(entry(m) for m in models),
+            validate=tuple(validate),
+            train=tuple(train or ()),
+            modes=tuple(modes or MODES),
+            outputs=tuple(outputs) if outputs else None,
+            rates=tuple(rates or ()),
+            reading=reading or Reading(),
+            interpolation=interpolation_from(interpolation),
+            initial_states=check_initial_states(initial_states, "compare"),
+            tags=Tags(tags, columns=told_columns(tag_columns)),
+            wanted=asked,
+        )
+    if junit_file is not None and not described.wanted.accept:
+        raise DeclarationError("compare: --junit writes criteria, and there are none. Give --accept CRITERION.")
+    if ssp is not None and described.variants:
+        raise DeclarationError("compare: --ssp packs the models of a scenario without variants. Leave one of them out.")
+    from hydrotwin.report import notices_of_variants
+    from hydrotwin.report.written import note_written
 
-        named = recorded_as(record, described) if record is not None else ""
-        loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
-        before = _state(output / "compare.json")
-        matrix = run(described, loaded, output, runs)
-        fmus = {spec: thing for spec, thing in loaded.items() if hasattr(thing, "constants_read")}
-        read = [
-            f"{spec}: {s}" for spec, thing in fmus.items() for s in thing.constants_read(described.reading.constants)
-        ]
-        tell_between_of(matrix.base.entrants)
-        for word in dict.fromkeys([*read, *notes(matrix)]):
-            mark(err, "note", word)
-        accepted = matrix.accepted if described.variants else matrix.runs[0].accepted
-        if not any(one.comparison.scores for one in matrix.runs):
-            require_inputs(matrix.base)
-            if junit_file is not None:  # all missed: a server shall not read those of an earlier run
-                write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
-            why = [f.sentence for f in matrix.base.failures] or [
-                f"{u.model}: {u.reason}." for u in matrix.base.unscored
-            ]
-            raise SolveError(f"compare: no model could be scored. {why[0]}")
-        tell_replaced(described.wanted.earlier, output / "compare.json")
-        if _state(output / "compare.json") != before:
-            told = "another run has written its report there while this one ran, and this one replaces it"
-            mark(err, "note", f"{output}: {told}. Give each its own --out.")
-        paths = write(matrix, output, bool(described.variants))
-        if junit_file is not None:
+    named = recorded_as(record, described) if record is not None else ""
+    loaded, runs = Loaded(), Runs(executor, workers, resume, as_json)
+    before = _state(output / "compare.json")
+    matrix = run(described, loaded, output, runs)
+    fmus = {spec: thing for spec, thing in loaded.items() if hasattr(thing, "constants_read")}
+    read = [f"{spec}: {s}" for spec, thing in fmus.items() for s in thing.constants_read(described.reading.constants)]
+    tell_between_of(matrix.base.entrants)
+    for word in dict.fromkeys([*read, *notes(matrix)]):
+        mark(err, "note", word)
+    accepted = matrix.accepted if described.variants else matrix.runs[0].accepted
+    if not any(one.comparison.scores for one in matrix.runs):
+        require_inputs(matrix.base)
+        if junit_file is not None:  # all missed: a server shall not read those of an earlier run
             write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
-            paths |= {"junit": junit_file}
-            note_written(output, [junit_file])
-        if record is not None:
-            record_comparison(record, matrix.base, accepted, named, asked=asked_by(described))
-            paths |= {"record": record}
-        if ssp is not None:
-            paths |= {"ssp": pack(described, loaded, matrix.base, ssp, ssp_version)}
-        if as_json:
-            typer.echo(paths["json"].read_text(encoding="utf-8"))
+        why = [f.sentence for f in matrix.base.failures] or [f"{u.model}: {u.reason}." for u in matrix.base.unscored]
+        raise SolveError(f"compare: no model could be scored. {why[0]}")
+    tell_replaced(described.wanted.earlier, output / "compare.json")
+    if _state(output / "compare.json") != before:
+        told = "another run has written its report there while this one ran, and this one replaces it"
+        mark(err, "note", f"{output}: {told}. Give each its own --out.")
+    paths = write(matrix, output, bool(described.variants))
+    if junit_file is not None:
+        write_whole(junit_file, junit(accepted, matrix.title, notices_of_variants(matrix.runs)))
+        paths |= {"junit": junit_file}
+        note_written(output, [junit_file])
+    if record is not None:
+        record_comparison(record, matrix.base, accepted, named, asked=asked_by(described))
+        paths |= {"record": record}
+    if ssp is not None:
+        paths |= {"ssp": pack(described, loaded, matrix.base, ssp, ssp_version)}
+    if as_json:
+        typer.echo(paths["json"].read_text(encoding="utf-8"))
+    else:
+        if described.variants:
+            print_matrix(matrix)
         else:
-            if described.variants:
-                print_matrix(matrix)
-            else:
-                print_comparison(matrix.base, accepted)
-            out.print(f"written: {', '.join(str(p) for p in paths.values())}")
-        if accepted and not accepted.passed:
-            raise typer.Exit(1)
+            print_comparison(matrix.base, accepted)
+        out.print(f"written: {', '.join(str(p) for p in paths.values())}")
+    if accepted and not accepted.passed:
+        raise typer.Exit(1)
 
 
 def _state(path: Path) -> tuple[int, ...]:

@@ -122,7 +122,8 @@ def gap(
     thing = surroundable(model) if is_fmu(model) else physical(model, "gap")
     candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
     check_set(reading, thing.flat)
-    train, judged = read_all(records, reading), read_all(validate, reading)
+    measured = [s.name for s in thing.flat.outputs]
+    train, judged = (read_all(part, reading, measured) for part in (records, validate))
     check_recordings(thing, train, judged, interpolation_from(interpolation))
     memory = Memory(output / KEPT)
     if not resume:
@@ -204,7 +205,7 @@ def check_recordings(thing, train: list[Record], judged: list[Record], said: Col
     flat = thing.flat
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in flat.outputs if s.name in record)], thing.name)
-    require_unseen(train, judged)
+    require_unseen(train, judged, [s.name for s in flat.outputs])
     tell_columns([*train, *judged], (*flat.inputs, *flat.outputs), thing.name, said)
 
 

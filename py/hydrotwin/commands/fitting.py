@@ -94,7 +94,8 @@ def identify(
     check_set(reading, flat)
     errors = settings_from(noise, "--noise", [wanted(s, difference=True) for s in flat.outputs])
     limits = bounds_from(bounds, [wanted(p) for p in flat.parameters])
-    train, judged = read_all(records, reading), read_all(validate, reading)
+    measured = [s.name for s in flat.outputs]
+    train, judged = (read_all(part, reading, measured) for part in (records, validate))
     fitted = [s for s in flat.outputs if not fit_outputs or s.name in fit_outputs]
     for record in (*train, *judged):
         require(record, [*flat.inputs, *(s for s in fitted if s.name in record)], thing.name)

@@ -117,7 +117,7 @@ def learn(
     flags = {"fit": fit, "hidden": hidden, "budget": budget, "thorough": thorough or None}
     settings, reading = constants_among(settings, (*(inputs or ()), *(outputs or ())), reading)
     train, options = _trainer(kind, settings, {k: v for k, v in flags.items() if v is not None})
-    records, judged, chosen = (read_all(part, reading) for part in (records, validate, select))
+    records, judged, chosen = (read_all(part, reading, outputs) for part in (records, validate, select))
     if model:
         signals, options["model"] = ((), outputs or ()), physical(model, "learn hybrid")
     else:

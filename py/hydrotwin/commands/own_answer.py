@@ -9,27 +9,42 @@ recordings, archives) stay until they are replaced.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+import functools
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from hydrotwin.models.language.errors import HydrotwinError
 
+from .shared import check_file, check_folder
+
 ANSWER = ("compare.json", "report.html", "report.md")
 
 
+def answers(command: Callable) -> Callable:
+    """The command, whose answer goes into the folder ``output`` and the file ``junit_file``, where one is named: both
+    are its own from before its other options are looked at."""
+
+    @functools.wraps(command)
+    def own(**given):
+        check_folder(given["output"])
+        with _own_answer(given["output"], given["junit_file"]):
+            return command(**given)
+
+    return own
+
+
 @contextlib.contextmanager
-def own_answer(folder: Path, *files: Path | None) -> Iterator[None]:
-    """While the answer of a run is made that goes into ``folder``, and into ``files`` elsewhere, which are removed.
+def _own_answer(folder: Path, file: Path | None) -> Iterator[None]:
+    """While the answer of a run is made that goes into ``folder``, and into ``file``, which is removed.
 
     Where the run ends without one, says where that of an earlier run is.
     """
     from hydrotwin.report.written import forget_others
 
     aside = _put_aside(folder)
-    for file in files:
-        if file is not None:
-            file.unlink(missing_ok=True)
     try:
+        if file is not None:
+            check_file(file, ".xml").unlink(missing_ok=True)
         yield
     except HydrotwinError as error:
         if not (aside / ANSWER[0]).exists():

@@ -106,12 +106,13 @@ def tell_evidence(model: str, as_json: bool, again: Sequence[Path] | None = None
         data = [one.as_data() | row for one, row in zip(evidence, rows, strict=True)]
         more = {} if made is None else {"again": [asdict(one) for one in made]}
         good &= _all_same(made)
-        print_json({"model": str(path), "passed": good, "stale": file.stale or others, "evidence": data, **more})
+        told = {"stale": file.stale or others, "unchecked": _unchecked(model, file)}
+        print_json({"model": str(path), "passed": good, **told, "evidence": data, **more})
         return good
     none = [[NOTHING, "no record is inside. Write one: hydrotwin compare --model FILE --validate REC --record FILE."]]
     told = [[HOLDS if row["holds"] else STALE, row["told"]] for row in rows]
     table(str(path), ["", "record"], told or none)
-    if told := file.stale or others:
+    for told in filter(None, (file.stale or others, _unchecked(model, file) if evidence else "")):
         out.print(told)
     if made is not None:
         out.print()
@@ -130,13 +131,23 @@ def tell_evidence(model: str, as_json: bool, again: Sequence[Path] | None = None
 
 def _other_equations(model: str, file: ModelFile) -> str:
     """That the equations are others than the values of a file were fitted to, in a sentence; "" where they are those,
-    or are the code of a user, which is not named and which a file may not start."""
-    if ".py:" in file.model and "@" not in model:
+    or nobody can tell (`_unchecked`)."""
+    if _unchecked(model, file):
         return ""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", StaleEvidenceWarning)
         load(model)
     return next((str(w.message) for w in caught if OTHERS in str(w.message)), "")
+
+
+def _unchecked(model: str, file: ModelFile) -> str:
+    """That nobody looked whether the equations are still those of the fit, and how to, in a sentence; "" else."""
+    if ".py:" not in file.model or "@" in model:
+        return ""
+    return (
+        "Whether the equations are still those of its fit was not looked at: a file may not start Python code. Name "
+        f"the code: hydrotwin check {file.model}@{model}."
+    )
 
 
 def _file_of(model: str) -> Path:

@@ -14,7 +14,7 @@ import typer
 
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Reading, Record, read_record, reading_of, require_once, turned_back
+from hydrotwin.records import Reading, Record, copies, read_record, reading_of, require_once, turned_back
 from hydrotwin.records.between import shown_otherwise
 from hydrotwin.records.reading import check_constants
 from hydrotwin.records.sizes import far_from_usual
@@ -97,10 +97,15 @@ def told_in(reading: Reading | None) -> list[str]:
     return [own.get(name, f"--{name}") for name in said]
 
 
-def read_all(paths: Sequence[Path] | None, reading: Reading | None = None) -> list[Record]:
-    """Read recordings, and tell of them what `tell_read` does."""
+def read_all(
+    paths: Sequence[Path] | None, reading: Reading | None = None, measured: Collection[str] | None = None
+) -> list[Record]:
+    """Read recordings, each once, and tell of them what `tell_read` does.
+
+    measured : columns by which two of the same commands are told apart, see `shares_samples`.
+    """
     records = [read_record(path, reading) for path in paths or []]
-    require_once(records, samples=True)
+    require_once(records, copies(records, measured))
     tell_read(records)
     return records
 

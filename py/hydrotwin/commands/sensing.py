@@ -109,7 +109,7 @@ def sensitivity(
     asked = intervals(thing.flat, parameters, over if over != "fit" or not profile_of else "auto", limits)
     Sampling(samples, of)  # what is misspelt is told before anything runs
     profiled(thing.flat, [i.name for i in asked], profile_of)
-    read = read_all(records, reading)
+    read = read_all(records, reading, [s.name for s in thing.flat.outputs])
     tell_columns(read, (*thing.flat.inputs, *thing.flat.outputs), thing.name, between)
     with progress_bar() as bar:
         row = bar.add_task("sensitivity", total=None)

@@ -210,7 +210,7 @@ def worst(judged: Sequence[Judged]) -> Judged:
     one = min(judged, key=lambda j: (j.passed, np.inf if np.isnan(j.margin) else j.margin))
     others: dict[str, list[str]] = {}  # what to know of other outputs alone: that all hold rests on them, too
     for j in judged:
-        for words in (w for w in replace(j, doubt="").cautions if w not in one.cautions):
+        for words in (w for w in j.cautions if w not in one.cautions):
             others.setdefault(words, []).append(j.criterion.output)
     told = [f"of {some_of(names)}: {words}" for words, names in others.items()]
     return replace(

@@ -1,8 +1,9 @@
-"""Whether a start that nobody measured, gave or estimated makes most of an error: the model starts there as it thinks.
+"""Whether a start makes most of an error: one that nobody measured, gave or estimated, or that one noisy sample tells.
 
 To first order an error e of the first part of a run is that of a start which is off by dx where e = Z dx, Z = dy/dx0 of
-the states that no sample tells. A run from there shows whether it is: where that leaves less than a third of the error,
-the recording says more of where it began than of the model.
+the states that no sample tells, and of those that the first sample tells, by no more than its noise may. A run from
+there shows whether it is: where that leaves less than a third of the error, the recording says more of where it began
+than of the model.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from hydrotwin.identification.descent import BEGINNING, FEWEST_SAMPLES
 from hydrotwin.models.language.errors import HydrotwinError
@@ -19,6 +21,8 @@ from hydrotwin.simulation.simulate import inputs_of, since_start, started
 
 LEFT = 1 / 3  # of the error: a start elsewhere that leaves less matters; for a wrong model it seldom makes up so far
 NOISES = 3.0  # of the sensor: what an error must be before anybody asks where it comes from
+SIGMAS = 4.0  # of its noise, by which the first sample of a sensor may be off
+FEW_LEFT = "less than a third of its error in the first part is left"
 STEP = 1e-2  # of its nominal, by which a start state is moved for a derivative
 
 
@@ -35,18 +39,32 @@ def untold_start(
     names, count = contender.untold_starts(record), max(FEWEST_SAMPLES, int(BEGINNING * len(record)))
     sizes = {n: _size(record[n][:count] - y[:count], noise[n].white) for n, y in predicted.items() if n in noise}
     sizes = {n: size for n, size in sizes.items() if size}
-    if not names or not sizes or len(record) < FEWEST_SAMPLES:
+    told = _told(contender, record, noise)
+    if not (names or told) or not sizes or len(record) < FEWEST_SAMPLES:
         return ""
+    part = record.window(end=record.time[count - 1])
+    if names and _leaves_little(contender, part, dict.fromkeys(names, np.inf), sizes):
+        return f"no sample tells where {' and '.join(names)} began, and from another start {FEW_LEFT}"
+    if told and _leaves_little(contender, part, dict.fromkeys(names, np.inf) | told, sizes):
+        return (
+            f"the first sample alone tells where {' and '.join(told)} began, and from another start within its noise "
+            f"{FEW_LEFT}"
+        )
+    return ""
+
+
+def _told(contender, record: Record, noise: Mapping[str, NoiseFloor]) -> dict[str, float]:
+    """States whose start is the first sample of a sensor, and by how much that may be off, SI."""
+    given = {*contender.untold_starts(record), *(contender.start_of(record) or {})}
+    by = {s.name: s.measured_by for s in contender.flat.states if s.measured_by in record.signals}
+    return {n: SIGMAS * noise[y].white for n, y in by.items() if n not in given and y in noise and noise[y].white > 0}
+
+
+def _leaves_little(contender, part: Record, off: Mapping[str, float], sizes: Mapping[str, float]) -> bool:
     try:
-        left = _left(contender, record.window(end=record.time[count - 1]), names, sizes)
+        return _left(contender, part, off, sizes) < LEFT
     except HydrotwinError:  # from there it does not run
-        return ""
-    if not left < LEFT:
-        return ""
-    return (
-        f"no sample tells where {' and '.join(names)} began, and from another start less than a third of its error in "
-        "the first part is left"
-    )
+        return False
 
 
 def _size(miss: np.ndarray, noise: float) -> float:
@@ -56,10 +74,10 @@ def _size(miss: np.ndarray, noise: float) -> float:
     return rms if rms > NOISES * noise else 0.0
 
 
-def _left(contender, part: Record, names: list[str], sizes: Mapping[str, float]) -> float:
-    """The share of the error, in ``sizes`` of its outputs, that the best start of the states ``names`` leaves."""
+def _left(contender, part: Record, off: Mapping[str, float], sizes: Mapping[str, float]) -> float:
+    """The share of the error, in ``sizes`` of its outputs, that the best start leaves; ``off``: by state, how far."""
     flat, p = contender.flat, contender.flat.parameter_vector()
-    at = [k for k, s in enumerate(flat.states) if s.name in names]
+    at = [k for k, s in enumerate(flat.states) if s.name in off]
     columns = {s.name: k for k, s in enumerate(flat.outputs) if s.name in sizes}
     u, propagator = inputs_of(flat, part), prepare(flat, **contender.how)
     x0 = started(flat, part, u, p, contender.start_of(part))
@@ -72,6 +90,7 @@ def _left(contender, part: Record, names: list[str], sizes: Mapping[str, float])
     steps = [np.eye(len(x0))[k] * STEP * flat.states[k].nominal for k in at]
     slopes = np.column_stack([now - misses(x0 + step) for step in steps])
     known = np.isfinite(now)
-    moved = np.linalg.lstsq(slopes[known], now[known], rcond=None)[0]
+    most = np.array([off[flat.states[k].name] / (STEP * flat.states[k].nominal) for k in at])
+    moved = lsq_linear(slopes[known], now[known], bounds=(-most, most)).x
     then = misses(x0 + sum(m * step for m, step in zip(moved, steps, strict=True)))
     return float(np.sqrt(np.mean(then[known] ** 2) / np.mean(now[known] ** 2)))

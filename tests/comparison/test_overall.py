@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -10,7 +11,17 @@ import numpy as np
 import pytest
 
 import hydrotwin
-from hydrotwin.comparison import Wanted, acceptance, as_contender, compare, criteria_of, junit, record_comparison
+from hydrotwin.comparison import (
+    Wanted,
+    acceptance,
+    as_contender,
+    compare,
+    criteria_of,
+    judge,
+    junit,
+    record_comparison,
+    worst,
+)  # fmt: skip
 from hydrotwin.comparison.asked import Asked, check_wanted
 from hydrotwin.models.language.errors import DeclarationError
 from hydrotwin.models.language.flat import Signal
@@ -137,3 +148,12 @@ def test_the_record_of_a_model_file_names_the_worst(tmp_path):
     told = record_comparison(tmp_path / "model.toml", found, acceptance(found, Wanted(("fit > 99.99 %",), "m")), "m")
     (row,) = told.evidence[-1].criteria
     assert row["worst"] in {s.name for s in model.flat.outputs} and f"({row['worst']}, " in told.evidence[-1].told
+
+
+def test_the_band_of_an_output_that_is_not_the_worst_is_doubted_by_its_name():
+    """With a slope as the worst of its outputs, PASS had come without a word of bands that cannot be trusted."""
+    signals = [Signal(n, "m") for n in ("position", "position_rate")]
+    sure, doubted = (judge(c, lambda *_: 0.5) for c in criteria_of("rmse < 1 m", signals))
+    one = worst([replace(sure, high=0.6), replace(doubted, doubt="only 3 % of load_2 lies in it")])
+    assert one.criterion.output == "position" and one.passed
+    assert any("of position_rate: its band cannot be trusted" in words for words in one.cautions), one.cautions

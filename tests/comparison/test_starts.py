@@ -198,6 +198,29 @@ def test_a_start_that_nobody_told_is_told_where_it_makes_most_of_the_error():
     assert not compare([given], [moved()], modes=["free run"], repeats=0).starts
 
 
+def test_a_start_that_one_noisy_sample_tells_is_told_where_it_makes_most_of_the_error():
+    """A right model with an integrator began with the error of one sample of a speed, and missed without a word."""
+    record, random = moved(), np.random.default_rng(3)
+    speed = GAIN * 0.1 + (SPEED - GAIN * 0.1) * np.exp(-record.time / LAG) + random.standard_normal(len(record.time))
+    speed[0] = SPEED + 2.0  # two standard deviations
+    noisy = record.with_signals(
+        {**record.signals, "motor_speed": speed}, units={**record.units, "motor_speed": "rad/s"}
+    )
+    found = compare([PhysicalContender(drive(), "m")], [noisy], modes=["free run"], repeats=0)
+    (missed,) = acceptance(found, Wanted(("position.rmse < 5 mm",))).judged
+    assert not missed.passed and "the first sample alone tells where motor.speed" in missed.caution
+    estimated = compare(
+        [PhysicalContender(drive(), "m")], [noisy], modes=["free run"], repeats=0, initial_states="auto"
+    )
+    assert acceptance(estimated, Wanted(("position.rmse < 5 mm",))).judged[0].passed
+
+
+def test_a_wrong_model_is_not_excused_by_noise_of_its_first_samples():
+    wrong = PhysicalContender(drive().with_parameters({"motor.gain": 14.0}), "wrong")
+    record = recorded(drive(), 2, noise={"position": NOISE, "motor_speed": 0.1})
+    assert not compare([wrong], [record], modes=["free run"], repeats=0).starts
+
+
 def test_a_wrong_model_is_not_excused_by_its_start():
     wrong = PhysicalContender(drive().with_parameters({"motor.gain": 14.0}), "wrong")
     found = compare([wrong], [recorded(drive(), 2, noise={"position": NOISE}, outputs=("position",))],

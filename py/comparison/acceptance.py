@@ -144,7 +144,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
         samples=sum(samples.values()) or None,
         without=without,
         lacking=values.lacking(holding, about.than if np.isfinite(one.value) else model),
-        doubt=_doubt(comparison, model, about.output),
+        doubt=_doubt(comparison, model, about.output, holding),
         uneven=mixed.briefly if mixed and about.metric != "max" else "",
         skipped=values.lacking(holding, model) if METRICS[about.metric].at_times and np.isfinite(one.value) else (),
         seen=_seen(comparison, model, holding),
@@ -164,7 +164,7 @@ def _told(one: Judged, comparison: Comparison, model: str) -> Judged:
     )
     if np.isinf(one.value):
         return dataclasses.replace(one, reason=_reason(comparison, model, about, holding))
-    doubt = _doubt(comparison, about.than, about.output) if METRICS[about.metric].of_band else ""
+    doubt = _doubt(comparison, about.than, about.output, holding) if METRICS[about.metric].of_band else ""
     if doubt:  # nothing is shown by being as good as a band that does not hold
         return dataclasses.replace(
             one, high=np.nan, reason=f"{about.than} is no measure, its band cannot be trusted: {doubt}"
@@ -260,9 +260,11 @@ def _flat(comparison: Comparison, about: Criterion, holding: tuple[str, ...]) ->
     return f"{zero}: {about.output} moves by only {100 * least:.2g} % of its size, and errors as large hardly count"
 
 
-def _doubt(comparison: Comparison, model: str, output: str) -> str:
-    """Why the band of an output of a model cannot be trusted, in free run; "" where it can."""
-    return next((b.why for b in _bands(comparison, model, output) if b.trusted is False), "")
+def _doubt(comparison: Comparison, model: str, output: str, holding: tuple[str, ...]) -> str:
+    """Why the band of an output of a model cannot be trusted on the recordings that count, in free run; "" where it
+    can."""
+    judged = (b.on(holding) for b in _bands(comparison, model, output))
+    return next((b.why for b in judged if b.trusted is False), "")
 
 
 def _of_run(comparison: Comparison, model: str, about: Criterion, holding: tuple[str, ...]) -> Iterator[str]:

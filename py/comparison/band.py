@@ -10,8 +10,8 @@ FMU) has the deviations among its outputs, or none. Sources: `identification.ban
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -36,6 +36,7 @@ class Band:
     """The band of one output: its ``source``, see above; ``half_width`` (SI) of a conformal one, else None.
 
     trusted : None where it was never judged on anything that was held out. why : what there is to say of it.
+    before, held : what was known of it before this comparison, and what of each recording here it held.
     """
 
     output: str
@@ -43,6 +44,13 @@ class Band:
     trusted: bool | None
     why: str = ""
     half_width: float | None = None
+    before: Band | None = field(default=None, compare=False, repr=False)
+    held: tuple[Held, ...] = field(default=(), compare=False, repr=False)
+
+    def on(self, records: Iterable[str]) -> Band:
+        """The same as these recordings alone judge it: what others show is of other conditions."""
+        names = set(records)
+        return _held(self.before, [one for one in self.held if one.record in names]) if self.before else self
 
 
 def bands_of(contender) -> tuple[Band, ...]:
@@ -76,7 +84,8 @@ def held_here(bands: Sequence[Band], held: Mapping[str, Sequence[Held]]) -> tupl
     Whatever a band was judged on before, one that misses the recordings at hand is wrong there. Of a fit it is known
     what may be a draw of parameters and start, and one recording that it misses by more than that is enough.
     """
-    return tuple(_held(band, held.get(band.output, ())) for band in bands)
+    found = [(band, tuple(held.get(band.output, ()))) for band in bands]
+    return tuple(replace(_held(band, known), before=band, held=known) for band, known in found)
 
 
 def _held(band: Band, held: Sequence[Held]) -> Band:

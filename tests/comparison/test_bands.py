@@ -146,6 +146,16 @@ def test_a_band_of_a_fit_is_doubted_where_chance_does_not_explain_what_lies_outs
     assert "only 82 % of cold lies in it, fewer than chance explains" in band.why
 
 
+def test_a_band_is_doubted_where_it_was_missed_and_not_on_other_recordings():
+    """A criterion on one load could not be tested, for the sake of a recording of another one."""
+    before = (Band("arm", "sensitivities", True),)
+    (band,) = held_here(before, {"arm": [Held("load_1", 0.95, 0.5), Held("load_2", 0.03, 1e-80)]})
+    assert band.trusted is False and band.on(["load_2"]).trusted is False
+    assert band.on(["load_1"]).trusted is True and not band.on(["load_1"]).why
+    (known,) = held_here((Band("arm", "sensitivities", False, "known"),), {"arm": [Held("load_1", 0.95, 0.5)]})
+    assert known.on(["load_1"]).trusted is False, "what its fit left is left everywhere"
+
+
 @pytest.fixture(scope="module")
 def identified():
     """A drive identified on one recording, with what the fit knows of its errors."""

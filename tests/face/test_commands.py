@@ -162,6 +162,11 @@ def test_identify_says_once_what_it_cannot_explain(readme):
     assert said.count("not explained: ") == 1 and "the fitted model leaves" not in said
 
 
+def test_identify_says_that_it_estimated_where_validation_recordings_begin(readme):
+    """compare begins at their first samples: the same model had another error there, and nobody said why."""
+    assert "where validation recordings begin was estimated" in " ".join(readme[1]["identify"].said.split())
+
+
 def test_a_model_file_reads_back_to_what_was_identified(here, tmp_path):
     path = tmp_path / "m.toml"
     answer = hydrotwin(

@@ -172,10 +172,22 @@ def fit_answer(fit) -> dict:
         "correlation": fit.correlation,
         "noise": dict(fit.noise),
         "rmse": fit.rmse,
+        "validation_starts": "estimated" if estimated_starts(fit) else "as measured",
         "accuracy": fit.accuracy.as_data() if fit.accuracy else None,
         "findings": [str(f) for f in fit.findings],
         "seconds": fit.seconds,
     }
+
+
+def estimated_starts(fit) -> str:
+    """That errors on validation recordings are of starts that were estimated there; "" where they are not."""
+    judged = any(r.role == "validate" for r in fit.residuals)
+    if not judged or not fit.flat.states or fit.settings.get("initial_states") == "fixed":
+        return ""
+    return (
+        "where validation recordings begin was estimated from their samples, and their RMSE is from there. compare "
+        "begins at their first samples; its --initial-states auto estimates, too."
+    )
 
 
 def print_fit(fit, path: Path) -> None:
@@ -192,6 +204,8 @@ def print_fit(fit, path: Path) -> None:
     ]
     out.print()
     table("what is left", ["recording", "role", "output", "RMSE", "noise", "unit", "ratio"], left)
+    if started := estimated_starts(fit):
+        mark(out, "note", started)
     for finding in fit.findings:
         if finding.kind != "unexplained":  # the table has said so, output by output
             mark(out, "note", str(finding))

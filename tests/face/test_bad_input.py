@@ -170,7 +170,7 @@ COMMANDS = {
         "angle'?",
     ],
     "learn nn good.csv speed.csv --input command --output arm_angle --out block.toml": [
-        "speed.csv: the same recording as good.csv"
+        "speed.csv: no column 'arm_angle'"
     ],
     "learn nn good.csv --input command --output command --out block.toml": ["named both as input and output"],
     "learn nn still.csv --input command --output motor_speed --out block.toml": [

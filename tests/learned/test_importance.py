@@ -50,7 +50,8 @@ def test_an_input_is_worth_what_the_free_run_loses_without_it(block):
 def test_the_card_says_which_input_is_idle(block):
     records = [recorded(1), recorded(2)]
     named = ["push", "pull", "idle"], ["speed"]
-    card = learning._card(block, split(records, *named), records, named, None)
+    parts = split(records, *named)
+    card = learning._card(block, parts, records, named, learning._rivals(block, parts, named, None))
     assert set(card["inputs"]) == {"push", "pull", "idle"}
     assert "Without idle it runs as well" in card["says"] and "Without push" not in card["says"]
 

@@ -44,10 +44,10 @@ def untold_start(
         return ""
     part = record.window(end=record.time[count - 1])
     if names and _leaves_little(contender, part, dict.fromkeys(names, np.inf), sizes):
-        return f"no sample tells where {' and '.join(names)} began, and from another start {FEW_LEFT}"
+        return f"no sample tells where {', '.join(names)} began, and from another start {FEW_LEFT}"
     if told and _leaves_little(contender, part, dict.fromkeys(names, np.inf) | told, sizes):
         return (
-            f"the first sample alone tells where {' and '.join(told)} began, and from another start within its noise "
+            f"the first sample alone tells where {', '.join(told)} began, and from another start within its noise "
             f"{FEW_LEFT}"
         )
     return ""

@@ -1,9 +1,9 @@
 """Whether a start makes most of an error: one that nobody measured, gave or estimated, or that one noisy sample tells.
 
 To first order an error e of the first part of a run is that of a start which is off by dx where e = Z dx, Z = dy/dx0 of
-the states that no sample tells, and of those that the first sample tells, by no more than its noise may. A run from
-there shows whether it is: where that leaves less than a third of the error, the recording says more of where it began
-than of the model.
+the states that no sample tells, and of those that the first sample tells, by no more than its noise, or than it is off
+the samples behind it. A run from there shows whether it is: where that leaves less than a third of the error, the
+recording says more of where it began than of the model.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from scipy.optimize import lsq_linear
+from scipy.stats import theilslopes
 
 from hydrotwin.identification.descent import BEGINNING, FEWEST_SAMPLES
 from hydrotwin.models.language.errors import HydrotwinError
@@ -22,6 +23,9 @@ from hydrotwin.simulation.simulate import inputs_of, since_start, started
 LEFT = 1 / 3  # of the error: a start elsewhere that leaves less matters; for a wrong model it seldom makes up so far
 NOISES = 3.0  # of the sensor: what an error must be before anybody asks where it comes from
 SIGMAS = 4.0  # of its noise, by which the first sample of a sensor may be off
+TURNS = 3  # of a linear step: a start that is far off is not reached in one
+NEXT = 8  # samples behind it, whose line says where it should be: a bad reading is off by more than noise
+FARTHER = 1.5  # times what it is off their line
 FEW_LEFT = "less than a third of its error in the first part is left"
 STEP = 1e-2  # of its nominal, by which a start state is moved for a derivative
 
@@ -47,8 +51,8 @@ def untold_start(
         return f"no sample tells where {', '.join(names)} began, and from another start {FEW_LEFT}"
     if told and _leaves_little(contender, part, dict.fromkeys(names, np.inf) | told, sizes):
         return (
-            f"the first sample alone tells where {', '.join(told)} began, and from another start within its noise "
-            f"{FEW_LEFT}"
+            f"the first sample alone tells where {', '.join(told)} began, and from another start as near to it as its "
+            f"sensor is sure {FEW_LEFT}"
         )
     return ""
 
@@ -57,7 +61,18 @@ def _told(contender, record: Record, noise: Mapping[str, NoiseFloor]) -> dict[st
     """States whose start is the first sample of a sensor, and by how much that may be off, SI."""
     given = {*contender.untold_starts(record), *(contender.start_of(record) or {})}
     by = {s.name: s.measured_by for s in contender.flat.states if s.measured_by in record.signals}
-    return {n: SIGMAS * noise[y].white for n, y in by.items() if n not in given and y in noise and noise[y].white > 0}
+    off = {n: max(SIGMAS * noise[y].sigma, _beside(record, y)) for n, y in by.items() if n not in given and y in noise}
+    return {n: most for n, most in off.items() if most > 0}
+
+
+def _beside(record: Record, name: str) -> float:
+    """How far a first sample may be off, as the line through the next ones says, which one of them does not bend."""
+    time, values = record.time[: NEXT + 1], record[name][: NEXT + 1]
+    known = np.flatnonzero(np.isfinite(values[1:])) + 1
+    if not np.isfinite(values[0]) or len(known) < NEXT:
+        return 0.0
+    _, level, *_ = theilslopes(values[known], time[known] - time[0])
+    return FARTHER * abs(float(values[0] - level))
 
 
 def _leaves_little(contender, part: Record, off: Mapping[str, float], sizes: Mapping[str, float]) -> bool:
@@ -86,11 +101,20 @@ def _left(contender, part: Record, off: Mapping[str, float], sizes: Mapping[str,
         y = propagator.run(since_start(part), u, p, x)[0]
         return np.concatenate([(part[n] - y[:, k]) / sizes[n] for n, k in columns.items()])
 
-    now = misses(x0)
+    began = now = misses(x0)
+    known, x = np.isfinite(now), x0
     steps = [np.eye(len(x0))[k] * STEP * flat.states[k].nominal for k in at]
-    slopes = np.column_stack([now - misses(x0 + step) for step in steps])
-    known = np.isfinite(now)
     most = np.array([off[flat.states[k].name] / (STEP * flat.states[k].nominal) for k in at])
-    moved = lsq_linear(slopes[known], now[known], bounds=(-most, most)).x
-    then = misses(x0 + sum(m * step for m, step in zip(moved, steps, strict=True)))
-    return float(np.sqrt(np.mean(then[known] ** 2) / np.mean(now[known] ** 2)))
+    total = np.zeros(len(at))
+    for _ in range(TURNS):
+        slopes = np.column_stack([now - misses(x + step) for step in steps])
+        if not np.isfinite(slopes[known]).all():
+            return np.inf
+        moved = lsq_linear(slopes[known], now[known], bounds=(-most - total, most - total)).x
+        total = total + moved
+        x = x0 + sum(m * step for m, step in zip(total, steps, strict=True))
+        before, now = now, misses(x)
+        left = float(np.sqrt(np.mean(now[known] ** 2) / np.mean(began[known] ** 2)))
+        if left < LEFT or not np.mean(now[known] ** 2) < np.mean(before[known] ** 2):
+            break
+    return left

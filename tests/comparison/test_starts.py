@@ -215,6 +215,17 @@ def test_a_start_that_one_noisy_sample_tells_is_told_where_it_makes_most_of_the_
     assert acceptance(estimated, Wanted(("position.rmse < 5 mm",))).judged[0].passed
 
 
+def test_a_bad_first_reading_is_told_where_it_makes_most_of_the_error():
+    """Far beyond the noise, it sets the start of the run all the same; the samples behind it say so."""
+    record = moved()
+    position = record["position"].copy()
+    position[0] += 0.5
+    bad = record.with_signals({**record.signals, "position": position}, units=record.units)
+    given = PhysicalContender(drive(), "m", start={"motor.speed": SPEED})
+    (told,) = compare([given], [bad], modes=["free run"], repeats=0).starts
+    assert told.estimate.note.startswith("the first sample alone tells where piston.position began")
+
+
 def test_a_wrong_model_is_not_excused_by_noise_of_its_first_samples():
     wrong = PhysicalContender(drive().with_parameters({"motor.gain": 14.0}), "wrong")
     record = recorded(drive(), 2, noise={"position": NOISE, "motor_speed": 0.1})

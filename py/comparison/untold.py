@@ -24,6 +24,7 @@ LEFT = 1 / 3  # of the error: a start elsewhere that leaves less matters; for a 
 NOISES = 3.0  # of the sensor: what an error must be before anybody asks where it comes from
 SIGMAS = 4.0  # of its noise, by which the first sample of a sensor may be off
 TURNS = 3  # of a linear step: a start that is far off is not reached in one
+HALF = 0.5  # of the squared error: a step that leaves more is the last
 NEXT = 8  # samples behind it, whose line says where it should be: a bad reading is off by more than noise
 FARTHER = 1.5  # times what it is off their line
 FEW_LEFT = "less than a third of its error in the first part is left"
@@ -115,6 +116,6 @@ def _left(contender, part: Record, off: Mapping[str, float], sizes: Mapping[str,
         x = x0 + sum(m * step for m, step in zip(total, steps, strict=True))
         before, now = now, misses(x)
         left = float(np.sqrt(np.mean(now[known] ** 2) / np.mean(began[known] ** 2)))
-        if left < LEFT or not np.mean(now[known] ** 2) < np.mean(before[known] ** 2):
+        if left < LEFT or not np.mean(now[known] ** 2) < HALF * np.mean(before[known] ** 2):
             break
     return left

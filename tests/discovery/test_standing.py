@@ -95,6 +95,14 @@ def test_what_leaves_a_little_has_no_name_while_what_nobody_looked_at_is_more_pr
     assert standing(table).verdict == "named", "nothing else is left that could be better"
 
 
+def test_what_leaves_less_than_a_name_costs_and_more_than_a_right_law_is_a_part(table, monkeypatch):
+    """Of many candidates a name costs much. Everything was looked at, so nothing else explains as much."""
+    monkeypatch.setattr(type(table), "_enough", lambda self: 160 * self.temperature)
+    said = fitted(table, base=30.0, coulomb_friction=3.5)
+    assert said.verdict == "unknown" and table.explained([said.best]) and not said.unasked
+    assert said.part and said.kept is said.best
+
+
 def test_what_leaves_nothing_is_named_though_others_were_not_looked_at(table):
     said = fitted(table, all_seen=False, base=30.0, coulomb_friction=1.0)
     assert said.verdict == "named" and said.probability(said.best.key[0]) < 0.7

@@ -44,7 +44,7 @@ def reason_of(search: Search, said: Standing, data: Split, elsewhere: Sequence[s
             f"{capitalised(names)} {verb} of what is missing: {percent(closed(table, best))} of the gap "
             f"closes. What is left, {_times(said):.2g} times the noise, has no name in the catalogue.{unfinished}"
         )
-    if best is not None and table.explained([best]):
+    if said.unasked:
         return (
             f"{capitalised(names)} {'explain' if several else 'explains'} all that is missing, but most other effects "
             f"were not asked whether they explain as much ({percent(said.posterior.unseen)}). It gets no name yet."

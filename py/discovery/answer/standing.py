@@ -39,6 +39,11 @@ class Standing:
     parts: Mapping[Key, float] = field(default_factory=dict)
 
     @property
+    def unasked(self) -> bool:
+        """Whether the best explains all, and what nobody looked at may well do so, too."""
+        return self.best is not None and _unasked(self.table, self.posterior, self.best)
+
+    @property
     def kept(self) -> Entry:
         """The structure that the answer adds: the best where it is named, else the base."""
         return self.best if self.verdict in ("named", "class") or self.part else self.table.entries[NOTHING]
@@ -80,7 +85,7 @@ def standing(table: Table) -> Standing:
         verdict = "none"
     elif max(posterior.else_, posterior.unseen) > sum(effects.values()):
         verdict = "unknown"
-        if best is not None and not table.explained([best]):
+        if best is not None and not _unasked(table, posterior, best):
             best = table.entries[max(effects, key=posterior.beside.__getitem__)]
             parts = _beside_something_else(table, posterior, best)
             asked = sum(parts.values()) > 0.5  # what was fitted is likelier than what promises as much and was not
@@ -91,6 +96,10 @@ def standing(table: Table) -> Standing:
         verdict = "class" if len(several) > 1 else "named"
     order = tuple(sorted(best.members, key=lambda c: _alone(table, c))) if best else ()
     return Standing(table, posterior, verdict, best, order, class_, part, parts)
+
+
+def _unasked(table: Table, posterior: Posterior, best: Entry) -> bool:
+    return posterior.unseen > posterior.else_ and table.explained([best])
 
 
 def _beside_something_else(table: Table, posterior: Posterior, best: Entry) -> dict[Key, float]:

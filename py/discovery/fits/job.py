@@ -58,8 +58,8 @@ class Job:
 
     starts : values by path, of which the one that costs least is followed, and where that leads a fit to more than
     noise others, too. states : start states by name and recording, where they are known. course : states (n,) by name
-    and recording, in which windows of its first length may begin, too; a guess is used where that costs less, and of
-    states that are not in it. size : (ny,), SI, what a residual costs at first; None: a few percent of the spread.
+    and recording, in which windows of its first length begin; states that are not in it start there. size : (ny,), SI,
+    what a residual costs at first; None: a few percent of the spread.
     iterations, seconds : the most that each stage takes, [1] and [s] of all. stages : of the windows' lengths, from
     which one to before which one a look goes; (0, 0) for one at whole recordings, None for a fit to them. threads :
     over recordings. tells_courses : whether a look tells its own.

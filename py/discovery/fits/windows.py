@@ -85,30 +85,32 @@ def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, second
 def _cheapest(task: Task, job: Job) -> tuple[np.ndarray, list[np.ndarray]]:
     """Scaled parameters of the start that costs least in the first of its windows, and state trajectories (n, nx).
 
-    Windows begin in states that a run guesses, or along the course that the job knows.
+    Windows begin along the course that the job knows, else in states that a run guesses.
     """
     points, seconds = [point_of(task.free, start) for start in job.starts], job.question.lengths[job.stages[0]]
-    p = task.free.vector(points[0])
-    guess = horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
-    courses = [guess, _along(job, guess)] if job.course else [guess]
-    if len(points) == len(courses) == 1:
-        return points[0], guess
-    least, best = np.inf, (points[0], courses[0])
-    for states in courses:
-        shooting, z = _cut(task, points[0], seconds, states, job.question)
-        for q in points:
-            cost = shooting.cost(q, z, least)
-            least, best = (cost, (q, states)) if cost < least else (least, best)
-    return best
+    p, recordings = task.free.vector(points[0]), task.recordings
+    states = _along(job, p) if job.course else horizon.first_guess(task.flat, recordings, task.propagator, p, seconds)
+    if len(points) == 1:
+        return points[0], states
+    shooting, z = _cut(task, points[0], seconds, states, job.question)
+    least, best = np.inf, points[0]
+    for q in points:
+        cost = shooting.cost(q, z, least)
+        least, best = (cost, q) if cost < least else (least, best)
+    return best, states
 
 
-def _along(job: Job, guess: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """State trajectories (n, nx) along the course that a job knows; guessed are states that are not in it."""
-    names = [state.name for state in job.flat.states]
-    return [
-        np.column_stack([known.get(name, x[:, k]) for k, name in enumerate(names)])
-        for x, known in zip(guess, job.course, strict=True)
-    ]
+def _along(job: Job, p: np.ndarray) -> list[np.ndarray]:
+    """State trajectories (n, nx) along the course that a job knows; states that are not in it start in every window."""
+    names, found = [state.name for state in job.flat.states], []
+    for recording, known in zip(job.question.fit, job.course, strict=True):
+        states = np.column_stack([known.get(name, np.zeros(len(recording.time))) for name in names])
+        if further := [k for k, name in enumerate(names) if name not in known]:
+            for place in horizon.cut([recording], job.question.lengths[0]):
+                start = horizon.start_from_measured(job.flat, recording, p, place.first)
+                states[place.first : place.last, further] = start[further]
+        found.append(states)
+    return found
 
 
 def _cut(

@@ -5,14 +5,17 @@ What is missing beside it may show in long runs alone, in which nothing else is 
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+
+from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
 from ..fits.job import Fitted, Job, Look
 from .alternatives import batches
 from .base import SAME
-from .foreseen import beside, promising
+from .foreseen import beside, foreseen, promising
 from .jobs import Jobs
 from .starts import compatible
 from .table import Entry, Table
@@ -72,7 +75,7 @@ class Growth:
             return False
         level = enough = EARLY * table.promise(Entry(best.members, look=along))
         found, fitted = [], []
-        others = [table.possible((*best.members, c)) for c in promising(table, first) if c not in best.members]
+        others = [table.possible((*best.members, c)) for c in self._order(best, first)]
         others = [e for e in others if compatible(e.members) and table.usable(e)]
         for batch in batches(others, self.batch):
             for entry, look in zip(batch, self.run([jobs.grown(e, best, along) for e in batch]), strict=True):
@@ -89,6 +92,16 @@ class Growth:
                 return True
         self._fit_seen(best, [e for e in found if e not in fitted])
         return bool(found)
+
+    def _order(self, best: Entry, first: int) -> list[Candidate]:
+        """Effects in the order in which they join the best: first what promises most alone or to first order beside it.
+
+        What the best hides promises nothing alone; where the best is bent, first order from there tells little.
+        """
+        alone = [c for c in promising(self.table, first) if c not in best.members]
+        left = foreseen(self.table, self.jobs, best) if best.fitted else {}
+        known = sorted((c for c in alone if c.label in left), key=lambda c: left[c.label].left)
+        return list({c.label: c for pair in itertools.zip_longest(known, alone) for c in pair if c}.values())
 
     def _course(self, best: Entry, first: int) -> Look | None:
         """The best in the shortest windows in which it leaves enough to tell what is missing; None where none does."""

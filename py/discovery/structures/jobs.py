@@ -87,11 +87,12 @@ class Jobs:
         """The first look in the last windows before the length ``end``, from where these led the base.
 
         Effects have any of their sizes there, and windows begin in the states that the base's have found: what does
-        nothing beside the base leaves as much. There the base has hardly bent yet to hide what it lacks. The base
-        itself, and where nothing is known of it any structure, begins where its user put it, in the shortest windows.
+        nothing beside the base leaves as much as the base does after as many steps more. There the base has hardly bent
+        yet to hide what it lacks. Where nothing is known of the base any structure, and that first, begins where its
+        user put it, in the shortest windows.
         """
         look, settings = self.table.entry().look, {"seconds": limit}
-        if not entry.members or not look or look.left is not None:
+        if not look or look.left is not None:
             return self.of(entry, self.starts(entry), **settings, stages=(0, end), tells_courses=not entry.members)
         last = end - 1
         starts = self._sizes(entry.members, self.table.entry(), look.after_length(last))
@@ -100,8 +101,9 @@ class Jobs:
 
     def from_its_start(self, entry: Entry, first: int) -> Job:
         """The first look in windows from where the user put the base, effects at usual sizes."""
-        stages = (0, min(first, len(self.table.question.lengths)))
-        return self.of(entry, self.starts(entry), stages=stages, seconds=self.effort.look)
+        stages, look = (0, min(first, len(self.table.question.lengths))), self.table.entry().look
+        settings = {"course": look.courses[0]} if look and look.left is None and not look.begin and look.courses else {}
+        return self.of(entry, self.starts(entry), stages=stages, seconds=self.effort.look, **settings)
 
     def along(self, known: Entry, stage: int, values: Mapping[str, float]) -> Job:
         """A structure in windows of one length from known values, along the course that the base took."""

@@ -39,7 +39,8 @@ class Search:
     pause : called with the search between its batches of jobs. surprises : structures that explain all in short
     windows, whose starts are free, and not in longer runs. least : nats that the best structure left from where the
     base was fitted, too. stood, twice : structures that were fitted as they stood, and that were looked at from both
-    starts. part : the search of the beginnings of long recordings, until it is done.
+    starts. part : the search of the beginnings of long recordings, until it is done. idle : what an effect promises
+    that does nothing beside a look of the base.
     """
 
     table: Table
@@ -55,6 +56,7 @@ class Search:
     stood: set = field(default_factory=set)
     twice: set = field(default_factory=set)
     part: Search | None = None
+    idle: tuple[Look | None, float] = (None, 1.0)
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
@@ -275,8 +277,18 @@ class Search:
         known = [e for e in entries if e.open and self.table.usable(e)]
         new = [e for e in known if not e.look and e.members and self.table.question.lengths]
         self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
-        self._look_again([e for e in new if abs(self.table.promise(e) - 1) > SAME or not e.look], first)
+        idle = self._idle(first) if any(e.look for e in new) else 1.0
+        self._look_again([e for e in new if abs(self.table.promise(e) - idle) > SAME or not e.look], first)
         self._settle(known)
+
+    def _idle(self, first: int) -> float:
+        """What an effect promises that does nothing: the base, too, goes on a little from where its windows led it."""
+        base = self.table.entry()
+        if self.idle[0] is not base.look:
+            (found,) = self._ran([self.jobs.first_look(base, first, self.effort.look)])
+            own = Entry((), look=found) if isinstance(found, Look) else base
+            self.idle = base.look, self.table.promise(own)
+        return self.idle[1]
 
     def _look_again(self, entries: Sequence[Entry], first: int) -> None:
         """Look at structures in windows from where the user put them, too: a bent base may hide what they lack.

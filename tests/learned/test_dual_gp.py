@@ -19,16 +19,8 @@ from hydrotwin.learned.gaussian.dual_block import DUAL_GAUSSIAN_PROCESS, dual_fr
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 from hydrotwin.simulation import predict_one_step, simulate
-from tests.learned.test_gaussian_process import (
-    CURRENT,
-    NOISE,
-    PERIOD,
-    POSITION,
-    SPOOL,
-    in_numpy,
-    random_gaussian_process,
-    valve_record,
-)
+from tests.learned.test_gaussian_equations import in_numpy, random_gaussian_process
+from tests.learned.test_gaussian_process import CURRENT, NOISE, PERIOD, POSITION, SPOOL, valve_record
 
 QUICK = {"points": 200}
 

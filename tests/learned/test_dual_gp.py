@@ -200,7 +200,7 @@ def test_the_spool_is_known_less_well_away_from_the_data_and_the_rate_with_it(du
 
 def test_the_fmu_of_a_dual_process_equals_its_run(recordings, validation, tmp_path):
     pytest.importorskip("gpytorch")
-    small = {"lags": 3, "compress": 15, "points": 100, "knots": 20}
+    small = {"lags": 2, "compress": 5, "points": 50, "knots": 8}
     block = learn_dual_gp(recordings[:1], ["current"], ["position"], **small)
     record = validation.window(0, 10)
     found, expected = read_fmu(export_fmu(block, tmp_path / "dual.fmu")).free_run(record), simulate(block, record)

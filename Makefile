@@ -10,6 +10,8 @@ OFFICIAL ?= --seeds 1 --data tanks emps --kinds arx linear piecewise grey_box sy
 GAP ?= --quick --limit 10 --methods discover sindy gp --out out/gap_quick
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Where it is set, every child process compiles every module anew.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: help demo fmus gates test lint bench bench-ablation bench-bands bench-gap bench-learned bench-others scoreboard clean
 

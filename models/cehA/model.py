@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 from hydrotwin.models.components import Arm, Cylinder, Pump, SpeedControlledMotor
@@ -134,11 +135,13 @@ class CehAThirdOrder(Component):
         yield der(self.arm.angular_velocity) == 0
 
 
+@cache  # immutable: its equations are solved once
 def model() -> Model:
     """The C-EHA with the values of parameters.toml."""
     return Model(CehA(), "cehA", settings=read_parameters(_PARAMETERS), step=1e-3)
 
 
+@cache  # immutable: its equations are solved once
 def third_order() -> Model:
     """The third-order variant with the same values."""
     settings = {

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -205,10 +205,7 @@ def candidates(
     from .alike import gathered
     from .catalogue import CATALOGUE
 
-    for pattern in (*(effects or ()), *exclude):
-        word = pattern.partition(" at ")[0]
-        if not fnmatch.filter(CATALOGUE, word):
-            raise DeclarationError(f"effects: none is called '{word}'. {nearest(word, CATALOGUE)}")
+    check_patterns((*(effects or ()), *exclude))
     places = Places(model)
     wanted = [e for e in CATALOGUE.values() if _wanted_somewhere(e.id, effects)]
     sites = {effect: list(effect.sites(places)) for effect in sorted(wanted, key=lambda e: e.order)}
@@ -221,6 +218,16 @@ def candidates(
                 one = _candidate(effect, group[0], _alone(group[0], sites[effect]), values)
                 found.append(replace(one, twins=tuple(f"{effect.id} at {site.name}" for site in group[1:])))
     return tuple(c for c in found if _wanted(c, effects, exclude))
+
+
+def check_patterns(patterns: Iterable[str]) -> None:
+    """Raises DeclarationError, with the nearest, for a glob over ids or ``id at site`` that no effect is called."""
+    from .catalogue import CATALOGUE
+
+    for pattern in patterns:
+        word = pattern.partition(" at ")[0]
+        if not fnmatch.filter(CATALOGUE, word):
+            raise DeclarationError(f"effects: none is called '{word}'. {nearest(word, CATALOGUE)}")
 
 
 def _alone(site: Site, sites: Sequence[Site]) -> bool:

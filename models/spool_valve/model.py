@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
@@ -127,6 +128,7 @@ class QuasiStaticSpoolValve(Component):
         yield self.velocity == self.curve.velocity_out
 
 
+@cache  # immutable: its equations are solved once
 def model() -> Model:
     """The spool valve with the values of parameters.toml."""
     return Model(SpoolValve(), "spool_valve", settings=read_parameters(_PARAMETERS), step=5e-4)
@@ -143,6 +145,7 @@ _QUASI_STATIC = {
 }
 
 
+@cache  # immutable: its equations are solved once
 def quasi_static() -> Model:
     """The quasi-static variant with the same values."""
     settings = {}

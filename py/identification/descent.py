@@ -16,8 +16,8 @@ from . import horizon
 from .fit import Iteration
 from .least_squares import Minimum, minimise
 from .loss import Loss
-from .problem import FreeParameters, Recording
-from .shooting import Prior, Segment, Shooting
+from .problem import FreeParameters, Prior, Recording
+from .shooting import Segment, Shooting
 from .start_states import StartStates
 
 INITIAL_STATES = ("auto", "free", "fixed")

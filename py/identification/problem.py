@@ -66,6 +66,17 @@ class FreeParameters:
 
 
 @dataclass(frozen=True, eq=False)
+class Prior:
+    """What is known of the scaled parameters q (np,) beforehand: costs ``1/2 sum weight (q - centre)^2``."""
+
+    centre: np.ndarray
+    weight: np.ndarray
+
+    def cost(self, q: np.ndarray) -> float:
+        return 0.5 * float(self.weight @ (q - self.centre) ** 2)
+
+
+@dataclass(frozen=True, eq=False)
 class Recording:
     """One recording as the solver sees it: u (n, nu) and y (n, ny) in SI, nan where an output was not measured.
 

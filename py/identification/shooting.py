@@ -20,7 +20,7 @@ import numpy as np
 from hydrotwin.models.language.errors import SolveError
 
 from .loss import Loss
-from .problem import FreeParameters, Recording
+from .problem import FreeParameters, Prior, Recording
 from .start_states import StartStates
 
 WEAK_PRIOR = 0.1  # per state nominal: a start state without a first residual may move by ten nominals for one sigma
@@ -59,17 +59,6 @@ class Linearisation:
     gradient: np.ndarray
     hessian: np.ndarray
     squares: np.ndarray | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class Prior:
-    """What is known of the scaled parameters q (np,) beforehand: costs ``1/2 sum weight (q - centre)^2``."""
-
-    centre: np.ndarray
-    weight: np.ndarray
-
-    def cost(self, q: np.ndarray) -> float:
-        return 0.5 * float(self.weight @ (q - self.centre) ** 2)
 
 
 @dataclass(frozen=True, eq=False)

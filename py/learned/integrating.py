@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -123,6 +125,18 @@ def _both_forms(u: Sequence[np.ndarray], y: Sequence[np.ndarray], period: float,
     return _rms(level), _rms(rate), moved / np.maximum(np.ptp(np.concatenate(y), axis=0), 1e-300)
 
 
+class Information(NamedTuple):
+    """Rows^T rows (m, m), rows^T targets (m, ny) and the number of rows: all that least squares know of them."""
+
+    gram: np.ndarray
+    moments: np.ndarray
+    count: int
+
+    @classmethod
+    def of(cls, rows: np.ndarray, targets: np.ndarray) -> Information:
+        return cls(rows.T @ rows, rows.T @ targets, len(rows))
+
+
 @dataclass(frozen=True, eq=False)
 class Part:
     """A part of a recording: causes (n, m), their integral over time (n, m), outputs (n, ny)."""
@@ -130,6 +144,15 @@ class Part:
     causes: np.ndarray
     integral: np.ndarray
     outputs: np.ndarray
+
+    @cached_property
+    def of_level(self) -> Information:
+        return Information.of(self.causes, self.outputs)
+
+    @cached_property
+    def of_rate(self) -> Information:
+        """From an unknown start."""
+        return Information.of(_about_mean(self.integral), _about_mean(self.outputs))
 
 
 def parts_of(causes: np.ndarray, integral: np.ndarray, outputs: np.ndarray) -> list[Part]:
@@ -145,7 +168,7 @@ def kinks_of(u: Sequence[np.ndarray]) -> np.ndarray:
 
 def rate_fit(parts: Sequence[Part]) -> np.ndarray:
     """Coefficients (m, ny) with which the integrals run to the outputs, from an unknown start in every part."""
-    return _least_squares([_about_mean(p.integral) for p in parts], [_about_mean(p.outputs) for p in parts])
+    return _least_squares([p.of_rate for p in parts])
 
 
 def cross_validated(parts: Sequence[Part]) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +183,7 @@ def _apart(parts: Sequence[Part], k: int, miss: Callable) -> np.ndarray:
 
 
 def _level_miss(others: Sequence[Part], own: Part) -> np.ndarray:
-    return own.outputs - own.causes @ _least_squares([p.causes for p in others], [p.outputs for p in others])
+    return own.outputs - own.causes @ _least_squares([p.of_level for p in others])
 
 
 def _rate_miss(others: Sequence[Part], own: Part) -> np.ndarray:
@@ -183,9 +206,10 @@ def _about_mean(values: np.ndarray) -> np.ndarray:
     return values - values.mean(axis=0)
 
 
-def _least_squares(rows: Sequence[np.ndarray], targets: Sequence[np.ndarray]) -> np.ndarray:
-    A, b = np.concatenate(rows), np.concatenate(targets)
-    scale = np.maximum(np.sqrt(np.mean(A**2, axis=0)), 1e-300)
-    gram = (A / scale).T @ (A / scale)
+def _least_squares(known: Sequence[Information]) -> np.ndarray:
+    """Coefficients (m, ny); what is known of each part is summed, so that leaving one out costs no more than that."""
+    gram, moments, count = (sum(parts) for parts in zip(*known, strict=True))
+    scale = np.maximum(np.sqrt(np.diag(gram) / count), 1e-300)[:, None]
+    gram = gram / scale / scale.T
     gram[np.diag_indices_from(gram)] += RIDGE * np.trace(gram) / len(gram)
-    return np.linalg.solve(gram, (A / scale).T @ b) / scale[:, None]
+    return np.linalg.solve(gram, moments / scale) / scale

@@ -158,8 +158,8 @@ def test_around_a_slow_fmu_of_another_tool_a_dead_time_beyond_those_of_machines_
     fmu = read_fmu(fmi3_model_exchange(folder))
     random, runs = np.random.default_rng(3), []
     for seed in range(2):
-        time = np.arange(0.0, 50.0, SLOW)
-        u = np.repeat(random.uniform(-1.0, 1.0, 25), 10)
+        time = np.arange(0.0, 30.0, SLOW)
+        u = np.repeat(random.uniform(-1.0, 1.0, 15), 10)
         record = Record(time, {"u": u}, {"u": "1"}, f"run_{seed}")
         y = fmu.free_run(Record(time, {"u": later(u)}, {"u": "1"}))["y"] + 1e-3 * random.standard_normal(len(time))
         runs.append(Record(time, {"u": record["u"], "y": y}, {"u": "1", "y": "1"}, record.name))

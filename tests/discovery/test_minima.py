@@ -23,7 +23,7 @@ SOME = ("coulomb_friction", "dead_time", "sensor_scale")
 
 def test_one_force_sensor_and_a_frequency_a_third_off_lead_windows_to_the_noise():
     """The C-EHA as an independent simulator records it, nothing hidden: stiffness and volumes are 30 to 45 % off."""
-    case = make(Case.from_name("cehA/none/nothing/0/piston_force/strokes/405/20s/16bit/wide"))
+    case = make(Case.from_name("cehA/none/nothing/0/piston_force/strokes/405/13s/16bit/wide"))
     search = begun(case.fit, ("sensor_bias",), model=case.model, noise=case.noise)
     search.table.question = dataclasses.replace(search.table.question, lengths=(0.18,), step=None)
     base, noise = search.table.entry(), search.table.noise

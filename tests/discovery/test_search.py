@@ -182,12 +182,12 @@ def test_an_effect_that_is_idle_beside_two_others_is_dropped():
 
 
 def test_a_search_stops_where_windows_say_that_a_structure_is_right_and_longer_runs_not(monkeypatch):
-    search = begun(records(3, dry=200.0), SOME[:3], most=2)
+    search = begun(records(2, dry=200.0, seconds=6.0), SOME[:2], most=2)
     monkeypatch.setattr(search.table, "explained", lambda by=(): False)
     monkeypatch.setattr(search.table, "was_right", lambda entry, share: "coulomb_friction" in str(entry.key))
     surprise = search.go()
     assert surprise.fitted and "coulomb_friction" in str(surprise.key)
-    again = begun(records(3, dry=200.0), SOME[:3], most=2)
+    again = begun(records(2, dry=200.0, seconds=6.0), SOME[:2], most=2)
     again.identify()
     again.take_looks(search)
     taken = {key: e.look for key, e in again.table.entries.items() if e.members}

@@ -13,10 +13,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from unittest import mock
 
+import typer
+
 from hydrotwin import cli
 
 ROOT = Path(__file__).resolve().parents[2]
 SHIPPED = ROOT / "examples"
+APP, COMMANDS = cli.app, typer.main.get_command(cli.app)  # the signatures are read once
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,7 @@ def hydrotwin(*words) -> Answer:
     out, err, code = io.StringIO(), io.StringIO(), 0
     with (
         mock.patch.object(sys, "argv", ["hydrotwin", *map(str, words)]),
+        mock.patch.object(cli, "app", COMMANDS if cli.app is APP else cli.app),
         mock.patch.dict(os.environ, {"COLUMNS": "300"}),
         contextlib.redirect_stdout(out),
         contextlib.redirect_stderr(err),

@@ -7,6 +7,7 @@ import functools
 import os
 import shlex
 import sys
+from collections import OrderedDict
 from pathlib import Path
 
 import pytest
@@ -359,6 +360,7 @@ def test_a_comparison_that_scores_nothing_leaves_the_old_report_whole(here):
 
 
 def test_without_a_compiler_simulation_goes_on_and_export_says_what_to_install(here, tmp_path, monkeypatch):
+    monkeypatch.setattr("hydrotwin.simulation.engines._kept", OrderedDict())  # nobody has run the machine before
     monkeypatch.setattr("hydrotwin.simulation.compiler.compilers", lambda: [])
     monkeypatch.setattr("hydrotwin.export.build._compilers", lambda *_: [])
     for name in ("compiled", "interpreted"):

@@ -18,9 +18,11 @@ from hydrotwin.models.language.model_file import read_model_file
 from tests.face.command_line import hydrotwin
 
 MACHINES = {"cehA": cehA.model(), "spool_valve": spool_valve.model()}
-FITS = [
-    (name, effect) for name, machine in MACHINES.items() for effect in dict.fromkeys(c.id for c in candidates(machine))
-]
+FOUND = {name: candidates(machine) for name, machine in MACHINES.items()}
+IDLE = ("cehA", "line_friction")  # a pump at a given speed does not feel it: refused, see tests/effects/test_nested.py
+FITS = {  # effect -> a machine that may lack it
+    c.id: name for name, found in FOUND.items() for c in found if (name, c.id) != IDLE
+}
 CODE = """
 from hydrotwin.models import cehA
 from hydrotwin.models.effects import add_effect
@@ -59,13 +61,10 @@ def same_equations(one, other) -> None:
             assert np.array_equal(np.array(one_s), np.array(other_s), equal_nan=True)
 
 
-IDLE = ("cehA", "line_friction")  # a pump at a given speed does not feel it: refused, see tests/effects/test_nested.py
-
-
-@pytest.mark.parametrize(("name", "effect"), [fit for fit in FITS if fit != IDLE])
+@pytest.mark.parametrize(("effect", "name"), FITS.items())
 def test_an_effect_comes_back_at_all_of_its_sites(name, effect, tmp_path):
     base = MACHINES[name]
-    found = candidates(base, [effect])
+    found = [c for c in FOUND[name] if c.id == effect]
     values = {path: value for c in found for path, value in off_neutral(c).items()}
     model = base.plus([c.addition for c in found]).with_parameters(values)
     ht.write_model_file(tmp_path / "m.toml", name, model)
@@ -77,7 +76,7 @@ def test_an_effect_comes_back_at_all_of_its_sites(name, effect, tmp_path):
 @pytest.mark.parametrize("name", MACHINES)
 def test_several_effects_on_one_signal_come_back_in_their_order(name, tmp_path):
     base = MACHINES[name]
-    chosen = [c for c in candidates(base) if c.site.through][::-1]
+    chosen = [c for c in FOUND[name] if c.site.through][::-1]
     values = {path: value for c in chosen for path, value in off_neutral(c).items()}
     model = base.plus([c.addition for c in chosen]).with_parameters(values)
     ht.write_model_file(tmp_path / "m.toml", name, model)
@@ -87,14 +86,14 @@ def test_several_effects_on_one_signal_come_back_in_their_order(name, tmp_path):
 
 
 def test_the_catalogue_of_the_contract_is_not_empty():
-    assert len({effect for _, effect in FITS}) > 10
-    assert {effect for _, effect in FITS} <= set(CATALOGUE)
+    assert len(FITS) > 10 and set(FITS) <= set(CATALOGUE)
+    assert set(FITS.values()) == set(MACHINES)
 
 
 def test_an_effect_under_another_name_keeps_it(tmp_path):
     from dataclasses import replace
 
-    candidate = candidates(cehA.model(), ["coulomb_friction at arm.pin"])[0]
+    candidate = next(c for c in FOUND["cehA"] if c.label == "coulomb_friction at arm.pin")
     model = cehA.model().plus([replace(candidate.addition, name="rod_seal")]).with_parameters({"rod_seal.force": 90.0})
     ht.write_model_file(tmp_path / "m.toml", "cehA", model)
     same_equations(model, ht.load(tmp_path / "m.toml"))

@@ -6,6 +6,7 @@ import json
 import shutil
 import sys
 import tomllib
+from dataclasses import replace
 from types import SimpleNamespace
 from unittest import mock
 
@@ -25,12 +26,12 @@ GAP = ("gap", "cehA", "train_1.csv", "--validate", "validate_1.csv", "--out", "g
 KEYS = {"model", "verdict", "steps", "noise", "train", "validate", "separating_experiment", "seconds", "findings"}
 
 
+RUBBING = add_effect(cehA.model(), "coulomb_friction", values={"force": 83.0})
+
+
 def friction_found(**more):
     """Friction in the C-EHA, named: the report's example with the real machine in it."""
-    from dataclasses import replace
-
-    model = add_effect(cehA.model(), "coulomb_friction", values={"force": 83.0})
-    return replace(gap_discoveries.named(), base=cehA.model(), model=model, **more)
+    return replace(gap_discoveries.named(), base=cehA.model(), model=RUBBING, **more)
 
 
 @pytest.fixture

@@ -23,19 +23,20 @@ from hydrotwin.records import write_record
 from tests.discovery.slides import Inline, records, slide
 from tests.face.command_line import ROOT, contents, hydrotwin
 
-EFFECTS = ("coulomb_friction", "dead_time", "command_deadband")
+EFFECTS = ("coulomb_friction", "dead_time")
 TRY = tuple(word for effect in EFFECTS for word in ("--effects", effect))
-GAP = ("gap", "slide.py:slide", "a.csv", "b.csv", "c.csv", "--validate", "v.csv", *TRY, "--out", "gap")
+GAP = ("gap", "slide.py:slide", "a.csv", "b.csv", "--validate", "v.csv", *TRY, "--out", "gap")
 THREADS = ("--executor", "here")
+RUBBING = {"dry": 60.0, "seconds": 5.0}  # N, s: the friction is seen at once
 FILES = {"gap.json", "report.html", "report.md", "model.toml", "model.mo"}
 OF_THE_RUN = ("seconds", "created", "command", "timings", "tables")  # differ from run to run, or say the others again
 
 
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
-    """A folder with a slide that has dry friction, recorded four times."""
+    """A folder with a slide that has dry friction, recorded three times."""
     folder = tmp_path_factory.mktemp("slide")
-    for name, record in zip("abcv", records(4, dry=60.0), strict=True):
+    for name, record in zip("abv", records(3, **RUBBING), strict=True):
         write_record(record, folder / f"{name}.csv")
     (folder / "slide.py").write_text("from tests.discovery.slides import slide\n\n__all__ = ['slide']\n")
     return folder
@@ -131,19 +132,19 @@ def test_what_a_short_limit_ends_is_an_answer_that_says_so(here):
 # -- the best so far ---------------------------------------------------------------------------------------------------
 def test_an_answer_so_far_is_told_when_it_is_due_and_changes_nothing(at_once, monkeypatch):
     told = []
-    words = {"effects": EFFECTS, "executor": Inline(), "step": 5e-3, "validate": records(1, first=7, dry=60.0)}
-    plain = discover(slide(), records(dry=60.0), **words)
-    found = discover(slide(), records(dry=60.0), so_far=told.append, **words)
+    words = {"effects": EFFECTS, "executor": Inline(), "step": 5e-3, "validate": records(1, first=7, **RUBBING)}
+    plain = discover(slide(), records(2, **RUBBING), **words)
+    found = discover(slide(), records(2, **RUBBING), so_far=told.append, **words)
     assert found.answer == plain.answer and found.probabilities == plain.probabilities
     assert [p.value for s in found.steps for p in s.parameters] == [p.value for s in plain.steps for p in s.parameters]
     assert (found.screened, found.fitted) == (plain.screened, plain.fitted)
     first, last = told[0], told[-1]
-    assert first.verdict == "unknown" and "nothing that was fitted explains it yet: 0 of 3 candidates" in first.answer
-    assert last.findings[0].startswith("gap: the search goes on") and last.given == {"train": 3, "validate": 1}
+    assert first.verdict == "unknown" and "nothing that was fitted explains it yet: 0 of 2 candidates" in first.answer
+    assert last.findings[0].startswith("gap: the search goes on") and last.given == {"train": 2, "validate": 1}
     assert [t.seconds for t in told] == sorted(t.seconds for t in told) and found.findings == plain.findings
     told.clear()
     monkeypatch.setattr(so_far, "AFTER", 1e6)
-    discover(slide(), records(dry=60.0), so_far=told.append, **words)
+    discover(slide(), records(2, **RUBBING), so_far=told.append, **words)
     assert not told, "not before it is due"
 
 
@@ -163,7 +164,7 @@ def test_what_an_answer_so_far_looks_at_the_search_does_not_see(at_once, monkeyp
     monkeypatch.setattr(so_far, "answer", curious)
     monkeypatch.setattr(sys.modules["hydrotwin.discovery.discover"], "answer", last)
     told, words = [], {"effects": EFFECTS, "executor": Inline(), "step": 5e-3}
-    found = discover(slide(), records(dry=60.0), so_far=told.append, **words)
+    found = discover(slide(), records(2, **RUBBING), so_far=told.append, **words)
     assert found.verdict == "named" and told and sizes == [1]
 
 
@@ -196,7 +197,9 @@ def test_an_answer_so_far_that_cannot_be_made_costs_itself_only(at_once, monkeyp
         raise SolveError("slide: no last fit.")
 
     monkeypatch.setattr(so_far, "as_it_stands", failing)
-    found = discover(slide(), records(dry=60.0), effects=EFFECTS[:1], executor=Inline(), step=5e-3, so_far=pytest.fail)
+    found = discover(
+        slide(), records(2, **RUBBING), effects=EFFECTS[:1], executor=Inline(), step=5e-3, so_far=pytest.fail
+    )
     assert found.verdict == "named"
 
 

@@ -187,3 +187,71 @@ def observed(model, paths, x, u=(), t=0.0):
     """Any variables of a model by path."""
     flat = model.flat
     return np.array(model.observe(paths)(t, list(x), list(u), flat.parameter_vector())).ravel()
+
+
+class Gain(Component):
+    u = Input("1")
+    y = Output("1")
+    factor = Parameter(2.0, "1", bounds=(-10, 10))
+
+    def equations(self):
+        yield self.y == self.factor * self.u
+
+
+class Follower(Component):
+    """x' = k u, with a part of its own for the gain."""
+
+    u = Input("1")
+    y = Output("1")
+    rate = Parameter(1.0, "1/s")
+    x = State(0.0, "1")
+
+    def equations(self):
+        yield der(self.x) == self.rate * self.u
+        yield self.y == self.x
+
+
+class Chain(Component):
+    """Command, gain, integrator, output; the output tells the command too."""
+
+    command = Input("1")
+    position = Output("1")
+    shown = Output("1")
+    gain = Gain(factor=1.0)
+    follower = Follower()
+
+    def equations(self):
+        yield connect(self.command, self.gain.u)
+        yield connect(self.gain.y, self.follower.u)
+        yield self.position == self.follower.y
+        yield self.shown == self.gain.y
+
+
+class Hydraulics(Component):
+    """A volume fed from a source through a restriction."""
+
+    source = PressureSource(pressure=2e5)
+    feed = Restriction(conductance=1e-11)
+    vessel = Volume()
+
+    def equations(self):
+        yield connect(self.source.port, self.feed.a)
+        yield connect(self.feed.b, self.vessel.port)
+
+
+class Leak(Component):
+    port = HydraulicPort()
+    conductance = Parameter(1e-11, "m3/(s.Pa)")
+
+    def equations(self):
+        yield self.port.q == self.conductance * self.port.p
+
+
+class Throttle(Component):
+    a = HydraulicPort()
+    b = HydraulicPort()
+    resistance = Parameter(0.0, "Pa.s/m3")
+
+    def equations(self):
+        yield self.a.q + self.b.q == 0
+        yield self.b.p == self.a.p - self.resistance * self.a.q

@@ -8,7 +8,6 @@ import pytest
 
 from hydrotwin.models.language import (
     Component,
-    DeclarationError,
     Flange,
     HydraulicPort,
     Input,
@@ -17,22 +16,22 @@ from hydrotwin.models.language import (
     Parameter,
     State,
     TopologyError,
-    UnitError,
     connect,
     delay,
     der,
 )
 from hydrotwin.models.language.additions import Addition
-from tests.language.parts import Oscillator, PressureSource, Restriction, Volume, observed, outputs, rates
-
-
-class Gain(Component):
-    u = Input("1")
-    y = Output("1")
-    factor = Parameter(2.0, "1", bounds=(-10, 10))
-
-    def equations(self):
-        yield self.y == self.factor * self.u
+from tests.language.parts import (
+    Chain,
+    Gain,
+    Hydraulics,
+    Leak,
+    Oscillator,
+    Throttle,
+    observed,
+    outputs,
+    rates,
+)
 
 
 class Limit(Component):
@@ -53,35 +52,6 @@ class Late(Component):
         yield self.y == delay(self.u, self.dead_time)
 
 
-class Follower(Component):
-    """x' = k u, with a part of its own for the gain."""
-
-    u = Input("1")
-    y = Output("1")
-    rate = Parameter(1.0, "1/s")
-    x = State(0.0, "1")
-
-    def equations(self):
-        yield der(self.x) == self.rate * self.u
-        yield self.y == self.x
-
-
-class Chain(Component):
-    """Command, gain, integrator, output; the output tells the command too."""
-
-    command = Input("1")
-    position = Output("1")
-    shown = Output("1")
-    gain = Gain(factor=1.0)
-    follower = Follower()
-
-    def equations(self):
-        yield connect(self.command, self.gain.u)
-        yield connect(self.gain.y, self.follower.u)
-        yield self.position == self.follower.y
-        yield self.shown == self.gain.y
-
-
 class LateChain(Chain):
     """The same with a dead time of its own."""
 
@@ -95,18 +65,6 @@ class LateChain(Chain):
         yield self.shown == self.gain.y
 
 
-class Hydraulics(Component):
-    """A volume fed from a source through a restriction."""
-
-    source = PressureSource(pressure=2e5)
-    feed = Restriction(conductance=1e-11)
-    vessel = Volume()
-
-    def equations(self):
-        yield connect(self.source.port, self.feed.a)
-        yield connect(self.feed.b, self.vessel.port)
-
-
 class Plant(Component):
     """Hydraulics inside a part, seen from outside by its pressure alone."""
 
@@ -115,24 +73,6 @@ class Plant(Component):
 
     def equations(self):
         yield self.pressure == self.inside.vessel.pressure
-
-
-class Leak(Component):
-    port = HydraulicPort()
-    conductance = Parameter(1e-11, "m3/(s.Pa)")
-
-    def equations(self):
-        yield self.port.q == self.conductance * self.port.p
-
-
-class Throttle(Component):
-    a = HydraulicPort()
-    b = HydraulicPort()
-    resistance = Parameter(0.0, "Pa.s/m3")
-
-    def equations(self):
-        yield self.a.q + self.b.q == 0
-        yield self.b.p == self.a.p - self.resistance * self.a.q
 
 
 def plus(model, *parts, **ways):
@@ -350,55 +290,3 @@ def test_a_state_stays_measured_by_an_output_whose_sensor_does_nothing_as_declar
     model = plus(Model(Chain()), Bias(), through="position").with_parameters({"part0.offset": 0.3})
     assert model.flat.states[0].measured_by == "position"
     assert outputs(model, [1.0], [0.0])[0] == pytest.approx(1.3)
-
-
-# -- refusals ----------------------------------------------------------------------------------------------------
-@pytest.mark.parametrize(
-    ("addition", "named"),
-    [
-        (Addition("leak", Leak(), ties={"port": "vessel.prot"}), "vessel.port"),
-        (Addition("leak", Leak(), ties={"prot": "vessel.port"}), "port"),
-        (Addition("gain", Gain(), reads={"u": "vessel.presure"}), "vessel.pressure"),
-        (Addition("gain", Gain(), through="der(vessel.presure)"), "der\\(vessel.pressure\\)"),
-        (Addition("line", Throttle(), between="source.prot"), "source.port"),
-        (Addition("", frees="feed.conductanse"), "conductance"),
-    ],
-)
-def test_a_place_that_is_not_there_is_refused_with_the_nearest_that_is(addition, named):
-    with pytest.raises(DeclarationError, match=named):
-        _ = Model(Hydraulics()).plus([addition]).flat
-
-
-def test_a_variable_that_is_no_signal_cannot_be_taken_over():
-    with pytest.raises(DeclarationError, match="nothing can be put into"):
-        _ = Model(Hydraulics()).plus([Addition("gain", Gain(), through="feed.a.q")]).flat
-
-
-def test_a_name_that_is_taken_is_refused():
-    for name in ("feed", "leak"):
-        parts = [Addition(n, Leak(), ties={"port": "vessel.port"}) for n in ("leak", name)]
-        with pytest.raises(DeclarationError, match=f"'{name}' is there already"):
-            _ = Model(Hydraulics()).plus(parts).flat
-
-
-def test_a_part_that_is_tied_to_nothing_is_refused():
-    with pytest.raises(TopologyError, match=r"leak\.port"):
-        _ = Model(Hydraulics()).plus([Addition("leak", Leak())]).flat
-
-
-def test_a_port_of_another_kind_is_refused():
-    with pytest.raises(TopologyError, match="different kinds"):
-        _ = Model(Hydraulics()).plus([Addition("odd", _Push(), ties={"flange": "vessel.port"})]).flat
-
-
-class _Push(Component):
-    flange = Flange()
-    force = Parameter(1.0, "N")
-
-    def equations(self):
-        yield self.flange.f == self.force
-
-
-def test_units_of_an_added_part_must_fit_the_signal():
-    with pytest.raises(UnitError, match="units do not balance"):
-        _ = Model(Oscillator()).plus([Addition("gain", Gain(), through="force")]).flat

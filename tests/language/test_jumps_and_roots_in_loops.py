@@ -32,8 +32,9 @@ def loop(equation, nominal: float = 1.0, start: float = 0.0) -> Model:
     return Model(Loop(), "loop")
 
 
-def answer(model: Model, level: float = 1.0) -> np.ndarray:
-    return simulate(model, Record(TIME, {"u": np.full(101, level)}, {"u": "1"}, "level"))["y"]
+def answer(model: Model, level: float = 1.0, method: str = "vm") -> np.ndarray:
+    """The output; not compiled, unless the method says so."""
+    return simulate(model, Record(TIME, {"u": np.full(101, level)}, {"u": "1"}, "level"), method=method)["y"]
 
 
 STEPS = {
@@ -49,6 +50,11 @@ STEPS = {
 @pytest.mark.parametrize(("equation", "right"), STEPS.values(), ids=STEPS.keys())
 def test_a_step_of_the_unknown_is_taken_where_the_unknown_is(equation, right):
     np.testing.assert_allclose(answer(loop(equation)), right, rtol=1e-9)
+
+
+def test_compiled_it_is_the_same():
+    for equation, *rest, right in (STEPS["both"], ROOTS["two orifices of either sign"]):
+        np.testing.assert_allclose(answer(loop(equation, *rest), method="auto"), right, rtol=1e-9)
 
 
 def signed_root(a):

@@ -64,7 +64,7 @@ KINDS = {
     "nn paper": Kind(lambda r: learn_rate_network(r, ["current"], ["position"], iterations=20), "torch"),
     "gp": Kind(lambda r: learn_gaussian_process(r, ["current"], ["position"], rate=True, points=100, compress=10,
                                                 lags=2), "gpytorch"),
-    "dual_gp": Kind(lambda r: learn_dual_gp(r, ["current"], ["position"], points=100, compress=10, knots=8, lags=2),
+    "dual_gp": Kind(lambda r: learn_dual_gp(r, ["current"], ["position"], points=100, compress=5, knots=8, lags=2),
                     "gpytorch"),
     "piecewise": Kind(lambda r: learn_piecewise(r, ["current"], ["position"], starts=1, dead_time=0.0), None),
     "symbolic": Kind(lambda r: learn_symbolic(r, ["current"], ["position"], starts=1, generations=3, population=40,

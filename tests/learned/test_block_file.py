@@ -25,7 +25,7 @@ from tests.learned import (
 from tests.learned.test_compensator import small_compensator
 from tests.learned.test_dual_gp import random_dual_gp
 from tests.learned.test_feedback_gp import random_feedback
-from tests.learned.test_gaussian_process import random_gaussian_process
+from tests.learned.test_gaussian_equations import random_gaussian_process
 from tests.learned.test_inverse import small_network, small_table
 from tests.learned.test_rate_network import random_rate_network
 from tests.learned.test_state_network import random_state_network

@@ -19,16 +19,8 @@ from hydrotwin.learned.gaussian.dual_block import DUAL_GAUSSIAN_PROCESS, dual_fr
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.records import Record
 from hydrotwin.simulation import predict_one_step, simulate
-from tests.learned.test_gaussian_process import (
-    CURRENT,
-    NOISE,
-    PERIOD,
-    POSITION,
-    SPOOL,
-    in_numpy,
-    random_gaussian_process,
-    valve_record,
-)
+from tests.learned.test_gaussian_equations import in_numpy, random_gaussian_process
+from tests.learned.test_gaussian_process import CURRENT, NOISE, PERIOD, POSITION, SPOOL, valve_record
 
 QUICK = {"points": 200}
 
@@ -208,7 +200,7 @@ def test_the_spool_is_known_less_well_away_from_the_data_and_the_rate_with_it(du
 
 def test_the_fmu_of_a_dual_process_equals_its_run(recordings, validation, tmp_path):
     pytest.importorskip("gpytorch")
-    small = {"lags": 3, "compress": 15, "points": 100, "knots": 20}
+    small = {"lags": 2, "compress": 5, "points": 50, "knots": 8}
     block = learn_dual_gp(recordings[:1], ["current"], ["position"], **small)
     record = validation.window(0, 10)
     found, expected = read_fmu(export_fmu(block, tmp_path / "dual.fmu")).free_run(record), simulate(block, record)

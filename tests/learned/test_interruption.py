@@ -26,7 +26,8 @@ class Learning:
     """``hydrotwin learn dual_gp`` in a session of its own, its progress bar on a terminal that we read."""
 
     def __init__(self, folder):
-        line = f"learn dual_gp {write_record(valve_record(1), folder / 'valve.csv')} --input current --output position"
+        file = write_record(valve_record(1, 30.0), folder / "valve.csv")
+        line = f"learn dual_gp {file} --input current --output position"
         ours, theirs = pty.openpty()
         self.process = subprocess.Popen(
             [sys.executable, "-m", "hydrotwin", *line.split(), "--fit", "paper", "--out", "dual.toml"],
@@ -92,11 +93,12 @@ def test_a_process_whose_turn_had_not_come_is_fitted_on_few_rows():
         if len(seen) == 5:
             raise KeyboardInterrupt
 
-    block = learn_dual_gp([valve_record(1, jitter=0.2)], ["current"], ["position"], points=None, progress=interrupt)
+    asked = [valve_record(1, 30.0, jitter=0.2)], ["current"], ["position"]
+    block = learn_dual_gp(*asked, points=None, progress=interrupt)
     assert [p["stopped"] for p in block.provenance["processes"]] == ["interrupted"] * 2
     assert seen[:5] == ["spool"] * 5 and set(seen[5:]) == {"position.slope"}
     told = block.provenance["errors"]["training"]
-    whole = learn_dual_gp([valve_record(1, jitter=0.2)], ["current"], ["position"], points=None)
+    whole = learn_dual_gp(*asked, points=None)
     assert told["slope_on_measured_spool"] < 1.1 * whole.provenance["errors"]["training"]["slope_on_measured_spool"]
 
 

@@ -209,9 +209,8 @@ def test_a_derivative_that_has_decayed_never_becomes_a_slow_number_below_the_sma
 
 
 @pytest.mark.parametrize(("method", "apart"), [("explicit", 1e-12), ("implicit", 1e-4)])  # more of them: other steps
-def test_free_starts_need_no_other_library(machine, method, apart, tmp_path, monkeypatch):
+def test_free_starts_need_no_other_library(machine, method, apart, new_cache, monkeypatch):
     """Nor do units: both are told to the driver, which is compiled once for all models."""
-    monkeypatch.setenv("HYDROTWIN_CACHE", str(tmp_path))
     monkeypatch.setattr("hydrotwin.simulation.engines._kept", OrderedDict())
     model, p, x0 = machine
     free = ("motor.gain", "cylinder.oil.bulk_modulus")
@@ -219,7 +218,7 @@ def test_free_starts_need_no_other_library(machine, method, apart, tmp_path, mon
     for states in ((), STATES):
         propagator = prepare(model, free_parameters=free, free_states=states, method=method)
         answers.append(propagator.sensitivity(TIME, COMMAND, p, x0, unit_columns(model, free, states)))
-        assert len(list(tmp_path.iterdir())) == 2
+        assert len(list(new_cache.iterdir())) == 2
     size = np.abs(answers[0][1]).max(axis=0)
     assert (np.abs(answers[1][1][..., :2] - answers[0][1]) <= apart * size).all()
 

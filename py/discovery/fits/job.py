@@ -13,8 +13,7 @@ from hydrotwin.identification.descent import Task
 from hydrotwin.identification.horizon import measured_start
 from hydrotwin.identification.loss import Loss
 from hydrotwin.identification.noise import weights
-from hydrotwin.identification.problem import FreeParameters, Recording, free_parameters
-from hydrotwin.identification.shooting import Prior
+from hydrotwin.identification.problem import FreeParameters, Prior, Recording, free_parameters
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 from hydrotwin.simulation.control import TOLERANCE

@@ -112,7 +112,7 @@ def gap(
     unknown.
     """
     from hydrotwin.discovery.discover import discover
-    from hydrotwin.models.effects import candidates
+    from hydrotwin.models.effects import check_patterns
     from hydrotwin.work.executor import executor_for
     from hydrotwin.work.memory import Memory
 
@@ -120,7 +120,7 @@ def gap(
     check_folder(output)
     check_effort(effort)
     thing = surroundable(model) if is_fmu(model) else physical(model, "gap")
-    candidates(thing, wanted, exclude or ())  # a misspelt effect is told before anything runs
+    check_patterns((*(wanted or ()), *(exclude or ())))  # a misspelt effect is told before anything runs
     check_set(reading, thing.flat)
     measured = [s.name for s in thing.flat.outputs]
     train, judged = (read_all(part, reading, measured) for part in (records, validate))

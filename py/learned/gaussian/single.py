@@ -94,11 +94,11 @@ def learn_gaussian_process(
     check_options("learn_gaussian_process", kernel, lags, fit, points, samples, compress, bound, period)
     inputs, outputs, records, validate = recordings(records, inputs, outputs, validate, "learn_gaussian_process")
     period = float(period or even_period(records))
-    forms = integration(records, inputs, outputs, period=period, lags=range(lags))
-    rate = one_form("learn_gaussian_process", "rate", rate, forms)
     rng = np.random.default_rng(seed)
     rows = training_rows(records, period, inputs, outputs, lags, samples, rng)
     check_size("learn_gaussian_process", len(rows), rows.features.shape[1], len(outputs), compress)
+    forms = integration(records, inputs, outputs, period=period, lags=range(lags))
+    rate = one_form("learn_gaussian_process", "rate", rate, forms)
     targets = rows.slopes if rate else rows.levels
     scales = input_scales(rows.features, len(inputs))
     grid = certification_grid([rows], len(inputs), lags, rng)

@@ -16,7 +16,7 @@ SENSORS = "position+pressures"
 
 @pytest.fixture(scope="module")
 def bench():
-    return Bench(make(Case("spool_valve", "single", ("valve_overlap",), 30.0, "position", "drive", 101, 8.0)))
+    return Bench(make(Case("spool_valve", "single", ("valve_overlap",), 30.0, "position", "drive", 101, 5.0)))
 
 
 @pytest.mark.proof
@@ -28,7 +28,7 @@ def test_the_true_structure_refitted_reaches_the_noise_and_the_base_does_not(ben
 
 def test_the_true_structure_begins_at_the_truth_too_so_that_limits_are_reached():
     """No derivative leads to an opening pressure from where nothing reaches it."""
-    bench = Bench(make(Case("spool_valve", "single", ("check_valve_cracking",), 5.0, SENSORS, "sweep", 101, 8.0)))
+    bench = Bench(make(Case("spool_valve", "single", ("check_valve_cracking",), 5.0, SENSORS, "sweep", 101, 5.0)))
     ((effect, options),) = bench.made.hidden
     (feeding, *_) = candidates(bench.model, [effect])
     assert sorted(at_truth(bench.made, 0, feeding).values()) == sorted(options.values())

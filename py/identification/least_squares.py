@@ -28,7 +28,8 @@ from .shooting import Linearisation, Shooting
 LONGEST_STEP = 0.5  # in q: a factor 1.6, or half a unit, or half of what is more than a unit
 STALLED = 1e9
 SLOW_STEPS = 6
-POOR = 0.1  # of what a step promised: what it must keep
+LEAST = 1e-4  # of what a step promised: what it must keep to be taken
+POOR = 0.1  # of what a step promised: what it should keep
 POOR_STEPS = 3
 
 
@@ -83,7 +84,7 @@ def minimise(
     if at.diverged.all():
         raise SolveError(f"identify: every run diverges{_where(shooting, q)}. Start elsewhere or use shorter windows.")
     damping, growth, size = 1e-3, 2.0, _diagonal(at)
-    descending, costs, poor = True, [at.cost], 0
+    straight, rejected, costs, poor = True, 0, [at.cost], 0
     for number in range(1, most + 1):
         size = np.maximum(size, _diagonal(at))
         inside = without_blocked(at, shooting, z)
@@ -98,23 +99,34 @@ def minimise(
         if slow or poor == POOR_STEPS or (promise <= enough and damping <= 1e-2):
             return Minimum(q, z, at, number - 1, True, "converged")
         trial_q, trial_z = np.clip(q + dq, lower, upper), z + dz if shooting.locals else z
-        trial = shooting.linearise(trial_q, trial_z, at.cost) if descending else None
-        cost = trial.cost if trial else shooting.cost(trial_q, trial_z, at.cost)
-        gain = (at.cost - cost) / max(promise, 1e-300)
-        descending = gain > 1e-4
+        trial = _below(at.cost - LEAST * promise, shooting, trial_q, trial_z, straight)
+        gain = (at.cost - trial.cost) / max(promise, 1e-300) if trial else 0.0
         poor += gain < POOR and promise < stalled * dispersion
-        if descending:
-            q, z, at = trial_q, trial_z, trial or shooting.linearise(trial_q, trial_z)
+        if trial:
+            q, z, at = trial_q, trial_z, trial
+            straight, rejected = not rejected, 0  # after a step that had to be shortened the next may be, too
             damping, growth = max(damping * max(0.1, 1 - (2 * min(gain, 1) - 1) ** 3), 1e-12), 2.0
             costs.append(at.cost)
             on_step(number, at.cost, damping)
         else:
+            straight, rejected = False, rejected + 1
             damping, growth = damping * growth, growth * 2
             if damping > STALLED or promise < 1e-12 * at.cost:
                 return Minimum(q, z, at, number, promise < enough, "no step descends any further")
         if time.process_time() > until:
             return Minimum(q, z, at, number, False, "stopped at its time limit")
     return Minimum(q, z, at, most, False, f"stopped after {most} iterations")
+
+
+def _below(level: float, shooting: Shooting, q: np.ndarray, z: np.ndarray, straight: bool) -> Linearisation | None:
+    """The expansion where the cost is below a level, else None. straight : without asking for the cost alone before.
+
+    From where derivatives explode no step leads on, though the run may end nearby.
+    """
+    if not straight and not shooting.cost(q, z, level) < level:
+        return None
+    at = shooting.linearise(q, z, level)
+    return at if at.cost < level else None
 
 
 def _diagonal(at: Linearisation) -> np.ndarray:

@@ -52,8 +52,27 @@ def test_what_does_anything_is_looked_at_from_the_users_start_too(search, monkey
     monkeypatch.setattr(search, "_ran", run)
     monkeypatch.setattr(search, "_settle", lambda known: None)
     monkeypatch.setattr(search.table, "promise", lambda e, most=None: looks[id(e.look)] if e.look else 1.0)
+    search.idle = search.table.entry().look, 1.0
     search._advance([entry], 1)
     assert looks[id(entry.look)] == again
+
+
+def test_what_leaves_as_much_as_the_base_after_as_many_steps_more_is_not_looked_at_again(search, monkeypatch):
+    """The base goes on a little under the weights of its end, and so does every effect that does nothing beside it."""
+    entry, asked = friction(search), []
+    monkeypatch.setattr(search, "_look_again", lambda entries, first: asked.extend(entries))
+    monkeypatch.setattr(search, "_settle", lambda known: None)
+    for promised, others in ((0.9, []), (0.5, [entry])):
+        entry.look, search.idle = None, (search.table.entry().look, 0.9)
+        monkeypatch.setattr(search.table, "promise", lambda e, most=None, known=promised: known)
+        search._advance([entry], 1)
+        assert asked == others
+
+
+def test_what_does_nothing_is_known_by_a_look_of_the_base(search):
+    base = search.table.entry().look
+    idle = search._idle(1)
+    assert 0.9 < idle <= 1.0 and search.table.entry().look is base and search.idle == (base, idle)
 
 
 def test_another_frequency_is_where_structures_begin_beside_the_users(search):

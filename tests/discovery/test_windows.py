@@ -129,7 +129,13 @@ def test_its_weights_are_turned_until_they_settle(asked, monkeypatch):
     assert (few, len(turns)) == (windows.TURNS, windows.MOST_TURNS)
 
 
-def test_a_course_that_costs_more_than_a_guess_is_not_taken(asked):
-    guessed = look(rubbing(asked, 140.0, stages=(0, 1)))
-    wrong = tuple({s.name: np.full(len(r.time), 1.0) for s in started("coulomb_friction")[0].states} for r in asked.fit)
-    assert look(rubbing(asked, 140.0, stages=(0, 1), course=wrong)).values == guessed.values
+def test_windows_begin_along_a_course_without_a_run_that_guesses(asked, monkeypatch):
+    """States that the course does not know, of an effect, start in every window as at the start of a recording."""
+    flat, _, force = started("coulomb_friction")
+    course = tuple({"mass.position": np.zeros(len(r.time)), "mass.speed": r.y[:, 0]} for r in asked.fit)
+    monkeypatch.setattr(windows.horizon, "first_guess", lambda *_: pytest.fail("no run is needed"))
+    job = rubbing(asked, 140.0, stages=(0, 1), course=course)
+    own = [s.name for s in flat.states].index("coulomb_friction.bristles")
+    states = windows._along(job, flat.parameter_vector({force: 140.0}))
+    assert all(np.isfinite(x).all() and (x[:, own] == x[0, own]).all() for x in states)
+    assert look(job).values[force] == pytest.approx(30.0, rel=0.1)

@@ -25,8 +25,8 @@ class Standing:
     even where the best explains all: others may explain as much. best : the most probable structure with an effect,
     beside something else where that is more probable; None without any. order : its effects, the one that explains most
     alone first. class_ : structures that are told together. part : whether the best, which does not explain all, is a
-    part of what is missing; not before every single effect was looked at, for another may be the whole of it, nor
-    where others may as well be that part. parts : probabilities of structures by key if one of them is.
+    part of what is missing; not before every single effect was looked at, for another may be the whole of it if this
+    leaves much, nor where others may as well be that part. parts : probabilities of structures by key if one is.
     """
 
     table: Table
@@ -89,7 +89,8 @@ def standing(table: Table) -> Standing:
             best = table.entries[max(effects, key=posterior.beside.__getitem__)]
             parts = _beside_something_else(table, posterior, best)
             asked = sum(parts.values()) > 0.5  # what was fitted is likelier than what promises as much and was not
-            part = table.seen_all() and asked and closed(table, best) >= DECIDING.part
+            looked = table.seen_all() or table.explained([best])
+            part = looked and asked and closed(table, best) >= DECIDING.part
             class_ = tuple(likeliest(parts))
     else:
         several = {tuple(sorted(c.id for c in table.entries[k].members)) for k in class_}

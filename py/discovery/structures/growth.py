@@ -12,7 +12,8 @@ from dataclasses import dataclass, field
 from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
-from ..fits.job import Fitted, Job, Look
+from ..fits.job import Fitted, Look
+from ..fits.whole import led
 from .alternatives import batches
 from .base import SAME
 from .foreseen import beside, foreseen, promising
@@ -27,13 +28,13 @@ EARLY = 0.4  # of what a part of it leaves: what promises to leave less is fitte
 class Growth:
     """What adds effects to the best structure of a table.
 
-    run : jobs to answers, in order. batch : looks that are run at once. most : effects of a structure. grown : keys of
-    the structures that were added to.
+    run : jobs, and by which function, to answers, in order. batch : looks that are run at once. most : effects of a
+    structure. grown : keys of the structures that were added to.
     """
 
     table: Table
     jobs: Jobs
-    run: Callable[[Sequence[Job]], list]
+    run: Callable[..., list]
     batch: int
     most: int
     grown: set = field(default_factory=set)
@@ -104,23 +105,31 @@ class Growth:
         return list({c.label: c for pair in itertools.zip_longest(known, alone) for c in pair if c}.values())
 
     def _course(self, best: Entry, first: int) -> Look | None:
-        """The best in the shortest windows in which it leaves enough to tell what is missing; None where none does."""
-        table, values = self.table, (best.fitted or best.look).values
+        """The best in the shortest windows in which it leaves enough to tell what is missing; None where none does.
+
+        It begins where windows led it or where its fit ended, which may be far: that is bent by what is missing.
+        """
+        table, values = self.table, [one.values for one in (best.look, best.fitted) if one]
         for stage in range(first - 1, len(table.question.lengths)):
             (found,) = self.run([self.jobs.along(best, stage, values)])
             if not isinstance(found, Look) or table.in_windows(found, stage) > DECIDING.visible:
                 return found if isinstance(found, Look) else None
-            values = found.values
+            values = [found.values]
         return None
 
     def _fit_seen(self, best: Entry, seen: Sequence[Entry]) -> None:
-        """Fit those that promise most of what was seen beside the best."""
-        jobs = {}
-        for one in sorted(seen, key=self.table.promise)[: self.jobs.effort.together]:
-            entry = self.table.entry(one.members)
+        """Fit those that promise most of what was seen beside the best: from their own starts, where nothing is bent.
+
+        One that leaves more than it promised is fitted from where it was seen, too.
+        """
+        table, entries = self.table, []
+        for one in sorted(seen, key=table.promise)[: self.jobs.effort.together]:
+            entry = table.entry(one.members)
             entry.look = entry.look or one.look
-            jobs |= {entry: self.jobs.whole_soon(entry)} if entry.open else {}
-        self._fit(best, jobs)
+            entries += [entry] if entry.open else []
+        self._keep(best, entries, self.run([self.jobs.plain_soon(e) for e in entries], led))
+        more = [e for e in entries if not (e.fitted and table.share(e) < SAME + table.promise(e))]
+        self._keep(best, more, self.run([self.jobs.whole_soon(e) for e in more]))
 
     def _to_first_order(self, best: Entry, first: int) -> None:
         """Fit what is expected to leave least beside the best, to first order from where that was fitted."""
@@ -128,13 +137,15 @@ class Growth:
             return
         more = beside(self.jobs, best, first, self.jobs.effort.together)
         entries = [self.table.entry(m) for c in more if compatible(m := (*best.members, c))]
-        self._fit(best, {e: self.jobs.from_there(e, best) for e in entries if e.open and self.table.usable(e)})
+        entries = [e for e in entries if e.open and self.table.usable(e)]
+        self._keep(best, entries, self.run([self.jobs.from_there(e, best) for e in entries]))
 
-    def _fit(self, best: Entry, jobs: dict[Entry, Job]) -> None:
+    def _keep(self, best: Entry, entries: Sequence[Entry], fits: Sequence) -> None:
         """Keep of these fits those that leave less than the best did: from their own starts others may do better."""
         table = self.table
         level = table.score(best) - table.temperature if best.fitted else EARLY * table.score(table.entry())
-        for entry, found in zip(jobs, self.run(list(jobs.values())), strict=True):
-            entry.fitted = found if isinstance(found, Fitted) else None
+        for entry, found in zip(entries, fits, strict=True):
+            if isinstance(found, Fitted):
+                table.keep_better(entry, found)
             if entry.fitted and table.score(entry) > level:
                 entry.fitted = None

@@ -105,10 +105,16 @@ class Jobs:
         settings = {"course": look.courses[0]} if look and look.left is None and not look.begin and look.courses else {}
         return self.of(entry, self.starts(entry), stages=stages, seconds=self.effort.look, **settings)
 
-    def along(self, known: Entry, stage: int, values: Mapping[str, float]) -> Job:
-        """A structure in windows of one length from known values, along the course that the base took."""
+    def along(self, known: Entry, stage: int, values: Sequence[Mapping[str, float]]) -> Job:
+        """A structure in windows of one length along the course of the base there, from the cheapest of known values.
+
+        Its effects have these beside what windows led the base to, too: it is never to leave more than that.
+        """
+        look = self.table.entry().look
+        base = look.after_length(stage)
+        beside = [{n: base.get(n, v) for n, v in one.items()} for one in values]
         settings = {"stages": (stage, stage + 1), "seconds": self.effort.look, "tells_courses": True}
-        return self.of(known, [values], **settings, course=self.table.entry().look.courses[stage])
+        return self.of(known, [*values, *beside], **settings, course=look.courses[stage], size=look.size_at(stage))
 
     def grown(self, entry: Entry, part: Entry, along: Look) -> Job:
         """What stands beside a part of a structure, at any of its sizes, in windows along the part's own course.
@@ -158,6 +164,11 @@ class Jobs:
     def whole_soon(self, entry: Entry) -> Job:
         """The same with as much time as a fit takes that explains all."""
         return dataclasses.replace(self.whole(entry), seconds=SOON * self.effort.look)
+
+    def plain_soon(self, entry: Entry) -> Job:
+        """The fit from its own start through windows, with as much time for these and for whole recordings."""
+        question, seconds = self.windows or self.table.question, SOON * self.effort.look
+        return dataclasses.replace(self.of(entry, self.starts(entry), seconds=seconds), question=question)
 
     def further(self, entry: Entry) -> Job:
         """The fit that goes on from where it stopped."""

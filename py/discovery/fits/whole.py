@@ -37,7 +37,7 @@ ROUNDS = 5  # of weights and minimum
 LONGEST = 30  # iterations in all rounds together
 NEAR = 1.3  # times the noise, or what windows left: what leaves more is not near to it
 STEPS = 3  # of each of these, after which the cheapest goes on
-FAR = 3.0  # times the noise that a structure leaves of an output, or windows of it: it explains far from all
+FAR = 3.0  # times the noise that a structure leaves of an output: precise runs tell it from none that leaves less
 COSTLY = 0.1  # of the seconds of a fit: what choosing its start may take
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
@@ -110,7 +110,7 @@ def _lower(run: _Begun, found: Minimum, job: Job, until: float) -> Minimum:
     """
     noise = run.task.noise
     promised = not_below(noise, job.size) if job.size is not None else np.full_like(noise, np.inf)
-    if np.nanmax(promised / noise) > FAR:  # it was not to explain nearly all
+    if np.nanmax(promised / noise) > NEAR:  # it was not to explain all
         return found
     if not np.nanmax(_size(run.task, residuals_of(run.task, found)) / promised) > NEAR:
         return found

@@ -95,9 +95,9 @@ class Alternatives:
         """Look from there at every effect in the place of one of the best's; fit those that explain as much."""
         rest = self.table.entry([m for m in best.members if m is not one])
         others = [self.table.entry(members) for members in self.table.instead(best, one)]
-        others = [e for e in others if not self._as_good(e, best) and self.table.usable(e)]
+        others = [e for e in others if not self._as_good(e, best)]
         known = foreseen(self.table, self.jobs, rest) if rest.fitted else {}
-        others = self._unforeseen(best, rest, others, known)
+        others = [e for e in self._unforeseen(best, rest, others, known) if self.table.usable(e)]
         if not others:
             return
         question, bent = self._bent(best, rest)

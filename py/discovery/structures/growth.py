@@ -77,8 +77,8 @@ class Growth:
         level = enough = EARLY * table.promise(Entry(best.members, look=along))
         found, fitted = [], []
         others = [table.possible((*best.members, c)) for c in self._order(best, first)]
-        others = [e for e in others if compatible(e.members) and table.usable(e)]
-        for batch in batches(others, self.batch):
+        for together in batches([e for e in others if compatible(e.members)], self.batch):
+            batch = [e for e in together if table.usable(e)]
             for entry, look in zip(batch, self.run([jobs.grown(e, best, along) for e in batch]), strict=True):
                 entry.look = look if isinstance(look, Look) else None
             seen = [e for e in batch if e.look and table.promise(e) < enough]
@@ -120,7 +120,7 @@ class Growth:
     def _fit_seen(self, best: Entry, seen: Sequence[Entry]) -> None:
         """Fit those that promise most of what was seen beside the best: from their own starts, where nothing is bent.
 
-        One that leaves more than it promised is fitted from where it was seen, too.
+        Where none explains all, one that leaves more than it promised is fitted from where it was seen, too.
         """
         table, entries = self.table, []
         for one in sorted(seen, key=table.promise)[: self.jobs.effort.together]:
@@ -128,8 +128,9 @@ class Growth:
             entry.look = entry.look or one.look
             entries += [entry] if entry.open else []
         self._keep(best, entries, self.run([self.jobs.plain_soon(e) for e in entries], led))
-        more = [e for e in entries if not (e.fitted and table.share(e) < SAME + table.promise(e))]
-        self._keep(best, more, self.run([self.jobs.whole_soon(e) for e in more]))
+        if not table.explained():
+            more = [e for e in entries if not (e.fitted and table.share(e) < SAME + table.promise(e))]
+            self._keep(best, more, self.run([self.jobs.whole_soon(e) for e in more]))
 
     def _to_first_order(self, best: Entry, first: int) -> None:
         """Fit what is expected to leave least beside the best, to first order from where that was fitted."""

@@ -283,9 +283,9 @@ class Search:
 
     def _idle(self, first: int) -> float:
         """What an effect promises that does nothing: the base, too, goes on a little from where its windows led it."""
-        base = self.table.entry()
+        base, end = self.table.entry(), min(first, len(self.table.question.lengths))
         if self.idle[0] is not base.look:
-            (found,) = self._ran([self.jobs.first_look(base, first, self.effort.look)])
+            (found,) = self._ran([self.jobs.first_look(base, end, self.effort.look)])
             own = Entry((), look=found) if isinstance(found, Look) else base
             self.idle = base.look, self.table.promise(own)
         return self.idle[1]

@@ -18,7 +18,8 @@ from .machine import VirtualMachine
 from .source import driver_source, functions_of, lanes_source, model_source
 from .tables import Tables
 
-MODEL = ("-O3",)
+# Straight lines of arithmetic: at -O3 the compiler takes twice as long for runs that are a few percent faster.
+MODEL = ("-O1",)
 ALIGNED = os.name != "nt"  # gcc does not align long vectors on the stack of Windows
 # The driver, which is compiled once, may use whatever this processor has: sensitivities gain a tenth.
 # Below -O2 gcc leaves the upper halves of registers dirty, and libm becomes six times slower behind them.
@@ -73,7 +74,7 @@ def _compiled(flat: FlatModel, to: equations.Directions, implicit: bool):
 def _compiled_lanes(flat: FlatModel) -> LanesLibrary | None:
     to = equations.directions(flat, (), ())
     functions = functions_of(flat, to, implicit=False)
-    source = lanes_source(functions) if ALIGNED else None
+    source = lanes_source(flat, functions) if ALIGNED else None
     try:
         model = source and _library(source, _c_name(flat), DRIVER, for_this_processor=True)
         driver = model and _driver(side_by_side=True)

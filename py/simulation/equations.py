@@ -85,6 +85,12 @@ def rate(flat: FlatModel, t, x, u, p) -> ca.SX:
     return ca.densify(flat.ode(t, x, u, p)[0])
 
 
+def slopes(flat: FlatModel) -> ca.Function:
+    """``(t, x, u, p) -> x'``."""
+    arguments = symbols(flat)
+    return _shared("slopes", arguments, [rate(flat, *arguments)])
+
+
 def rk4_substep(flat: FlatModel) -> ca.Function:
     """``(t, x, u, p, h) -> x(t + h), roughness (nx,)``, the classical Runge-Kutta step, u constant inside.
 

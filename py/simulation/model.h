@@ -1,9 +1,9 @@
 /* A model as the driver takes it: sizes, tables and CasADi functions, from a library of its own.
 
-     rk4_substep  (t, x, u, p, h) -> x, roughness               (explicit steps only)
-     output       (t, x, u, p) -> y
-     rate         (t, x, u, p) -> x', df/dx, df/dp, df/du      (nonzeros only)
-     seen         (t, x, u, p) -> y , dh/dx, dh/dp, dh/du
+     slopes  (t, x, u, p) -> x'                            (explicit steps only)
+     output  (t, x, u, p) -> y
+     rate    (t, x, u, p) -> x', df/dx, df/dp, df/du      (nonzeros only)
+     seen    (t, x, u, p) -> y , dh/dx, dh/dp, dh/du
 
    Lists end with an entry that nobody reads, so that none is empty. */
 
@@ -28,6 +28,6 @@ typedef struct {
   Integer arguments, results, reals, integers; /* what the functions need */
   const double *nominal, *nominal_free;        /* of states, of free values */
   const int *free, *delay, *linear, *kept, *zero, *dead_input, *dead_column;
-  Function *rk4_substep, *output;
+  Function *slopes, *output;
   Linear rate, seen;
 } Model;

@@ -93,16 +93,6 @@ static void derive_jumps(Run *run, long long k, double t, const double *x, doubl
   }
 }
 
-static inline void combine(int n, double *restrict to, const double *restrict from, double factor,
-                           const double *restrict rate) {
-  for (int i = 0; i < n; i++) to[i] = from[i] + factor * rate[i];
-}
-
-static inline void weigh(int n, double *restrict to, const double *restrict x, double h, const double *restrict k1,
-                         const double *restrict k2, const double *restrict k3, const double *restrict k4) {
-  for (int i = 0; i < n; i++) to[i] = x[i] + h / 6 * (k1[i] + 2 * k2[i] + 2 * k3[i] + k4[i]);
-}
-
 static Step implicit_tangent; /* in implicit.c */
 
 static int explicit_tangent(Run *run, long long k, double t, double h, int whole, const double *z, double *next) {
@@ -125,10 +115,7 @@ static int explicit_tangent(Run *run, long long k, double t, double h, int whole
   combine(many, ds, dx, h, d3);
   linear_stage(run, t + h, xs, u, ds, du, k4, d4, fx);
   weigh(nx, next, x, h, k1, k2, k3, k4);
-  for (int i = 0; i < nx; i++) { /* as in rk4_substep */
-    double bend = k1[i] - k2[i] - k3[i] + k4[i], turn = 2 * (k3[i] - k2[i]);
-    roughness[i] = h * h / 36 * (bend * bend + turn * turn);
-  }
+  roughness_of(nx, roughness, h, k1, k2, k3, k4);
   weigh(many, next + nx, dx, h, d1, d2, d3, d4);
   return judged(run, x, next, roughness);
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import tempfile
 from collections.abc import Mapping
 from functools import cache
@@ -21,7 +22,7 @@ from .vectors import vector_text
 # Near zero the Pade approximant [7/6], elsewhere 1 - 2 / (exp(2 a) + 1).
 TANH = """\
 #include <math.h>
-static inline double hydrotwin_tanh(double x) {
+static double hydrotwin_tanh(double x) {
   double a = fabs(x), s = x * x;
   if (a < 0.4)
     return x * (135135 + s * (17325 + s * (378 + s))) / (135135 + s * (62370 + s * (3150 + s * 28)));
@@ -30,6 +31,8 @@ static inline double hydrotwin_tanh(double x) {
 #define tanh hydrotwin_tanh
 """
 
+# The driver gives every argument and takes every result: a branch for each number would double the compiler's time.
+ALL_GIVEN = ((r"arg\[\d+\]\? (arg\[\d+\]\[\d+\]) : 0;", r"\1;"), (r"if \(res\[\d+\]!=0\) ", ""))
 
 # What a library has: where its functions are, in their order.
 FUNCTIONS = """
@@ -61,7 +64,7 @@ def driver_source(side_by_side: bool = False) -> str:
 def functions_of(flat: FlatModel, to: Directions, implicit: bool) -> dict[str, ca.Function]:
     """What a model consists of, by the names in `Model` of ``model.h``."""
     to = dataclasses.replace(to, zero=()) if implicit else to  # runs and sensitivities share its equations
-    chosen = {} if implicit else {"rk4_substep": equations.rk4_substep(flat)}
+    chosen = {} if implicit else {"slopes": equations.slopes(flat)}
     chosen["output"] = equations.output(flat)
     if to.count or implicit:
         chosen["rate"] = equations.linear_rate(flat, to)
@@ -73,12 +76,15 @@ def functions_of(flat: FlatModel, to: Directions, implicit: bool) -> dict[str, c
 def model_source(functions: Mapping[str, ca.Function]) -> str:
     """A library of a model's functions, and ``hydrotwin_functions``: where they are."""
     names = ", ".join(function.name() for function in functions.values())
-    return "\n".join((TANH, _generated(functions), FUNCTIONS.format(name="hydrotwin_functions", functions=names)))
+    text = _generated(functions)
+    for absent, given in ALL_GIVEN:
+        text = re.sub(absent, given, text)
+    return "\n".join((TANH, text, FUNCTIONS.format(name="hydrotwin_functions", functions=names)))
 
 
-def lanes_source(functions: Mapping[str, ca.Function]) -> str | None:
-    """The same with ``hydrotwin_lanes``, the functions side by side; None where their equations have no vector form."""
-    chosen = {"rk4_lanes": functions["rk4_substep"], "output_lanes": functions["output"]}
+def lanes_source(flat: FlatModel, functions: Mapping[str, ca.Function]) -> str | None:
+    """The same with ``hydrotwin_lanes``, steps side by side; None where the equations have no vector form."""
+    chosen = {"rk4_lanes": equations.rk4_substep(flat), "output_lanes": functions["output"]}
     texts = [vector_text(function, name) for name, function in chosen.items()]
     if None in texts:
         return None

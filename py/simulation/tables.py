@@ -29,7 +29,7 @@ class _Model(ctypes.Structure):
         *((name, _INT) for name in ("nx", "ns", "nu", "np", "ny", "nt", "ld", "nd", "nz", "cut", "implicit")),
         *((name, _INTEGER) for name in ("arguments", "results", "reals", "integers")),
         *((name, _POINTER) for name in ("nominal", "nominal_free", "free", "delay", "linear", "kept", "zero")),
-        *((name, _POINTER) for name in ("dead_input", "dead_column", "rk4_substep", "output")),
+        *((name, _POINTER) for name in ("dead_input", "dead_column", "slopes", "output")),
         *((name, _Linear) for name in ("rate", "seen")),
     )
 
@@ -59,7 +59,7 @@ class Tables:
             **_room(functions.values()),
             **{name: self._address(values, float) for name, values in _nominals(flat, to).items()},
             **{name: self._address(values, np.intc) for name, values in _tables(flat, to, kept).items()},
-            **{name: compiled[name] for name in ("rk4_substep", "output") if name in compiled},
+            **{name: compiled[name] for name in ("slopes", "output") if name in compiled},
             **{n: self._linear(functions[n], compiled[n], rows[n], row) for n in rows if n in compiled},
         )
         self.address = ctypes.addressof(self._model)

@@ -12,6 +12,7 @@ import pytest
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import compiler, prepare
 from hydrotwin.simulation.compiler import compile_library
+from hydrotwin.simulation.engines import MODEL
 from hydrotwin.simulation.equations import directions
 from hydrotwin.simulation.source import TANH, functions_of, model_source
 from tests.simulation.small_models import explosion, lag
@@ -99,7 +100,7 @@ def test_a_damaged_library_is_compiled_again(new_cache, which):
     model = lag()
     if which == "lag":
         source = model_source(functions_of(model, directions(model, (), ()), implicit=False))
-        damaged = compile_library(source, "lag")  # built, not loaded
+        damaged = compile_library(source, "lag", MODEL)  # built, not loaded
     else:
         [damaged] = new_cache.iterdir()
     damaged.write_bytes(b"not a library")

@@ -140,9 +140,9 @@ def test_without_lanes_the_sets_run_one_by_one(why, monkeypatch, request):
     request.getfixturevalue("new_cache")
     if why == "no vectors":
         monkeypatch.setenv("CC", "cc")
-        monkeypatch.setattr(engines, "lanes_source", lambda functions: "#error a compiler without vectors")
+        monkeypatch.setattr(engines, "lanes_source", lambda flat, functions: "#error a compiler without vectors")
     elif why == "no vector form":
-        monkeypatch.setattr(engines, "lanes_source", lambda functions: None)
+        monkeypatch.setattr(engines, "lanes_source", lambda flat, functions: None)
     else:
         monkeypatch.setattr(compiler, "compilers", list)
         with pytest.warns(UserWarning, match="no C compiler"):

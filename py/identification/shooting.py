@@ -26,7 +26,7 @@ from .start_states import StartStates
 WEAK_PRIOR = 0.1  # per state nominal: a start state without a first residual may move by ten nominals for one sigma
 PIECE = 1000  # samples of a run whose Jacobian is worked on at once
 NOTHING = 1e-60  # derivatives below this, in any unit, have decayed
-WORTH_THREADS = 100  # samples of a segment: threads wait for each other between shorter ones
+WORTH_THREADS = 100  # samples of a call: threads wait for each other between shorter ones
 EXPLODED = np.finfo(float).eps ** -2  # squared derivative in sigmas: rounding of a parameter alone moves a run by one
 DIVERGED = 100.0  # a segment this many times worse than predicting the mean has diverged
 
@@ -374,10 +374,11 @@ class Shooting:
     def _over_segments(self, work) -> list:
         """What ``work`` gives, a list for a list of segments, of all of them."""
         every, samples = np.arange(len(self.segments)), sum(s.last - s.begin for s in self.segments)
-        if self.threads == 1 or len(every) == 1 or samples < WORTH_THREADS * len(every):
+        parts = np.array_split(every, min(len(every), 4 * self.threads))
+        calls = len(parts) if self._in_one_call else len(every)
+        if self.threads == 1 or len(every) == 1 or samples < WORTH_THREADS * calls:
             return work(every)
         with ThreadPoolExecutor(self.threads) as pool:
-            parts = np.array_split(every, min(len(every), 4 * self.threads))
             return [row for rows in pool.map(work, parts) for row in rows]
 
 

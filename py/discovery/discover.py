@@ -16,7 +16,7 @@ from hydrotwin.models.effects import candidates as fitting_candidates
 from hydrotwin.models.language.errors import DeclarationError, nearest
 from hydrotwin.models.language.model import Model
 from hydrotwin.records.between import settled
-from hydrotwin.work.executor import Starts, cores_of, executor_for
+from hydrotwin.work.executor import Starts, begin_early, cores_of, executor_for
 from hydrotwin.work.memory import recalled
 from hydrotwin.work.progress import reporting
 
@@ -30,6 +30,7 @@ from .assumed import fairly, judge_samples, with_assumptions
 from .evidence.score import Spectrum
 from .fits.job import Fitted, Look
 from .fits.whole import conclude
+from .fits.whole import step as next_step
 from .recordings import split
 from .structures.jobs import EFFORTS
 from .structures.search import Search
@@ -107,6 +108,7 @@ def discover(
 
     telling = SoFar(so_far, complete) if so_far else None
     with reporting(progress, asked.model.name) as report, executor_for(executor) as pool:
+        begin_early(pool, next_step)
         run = _runner(pool, report, memory, 1 if is_fmu else cores_of(pool))
         report("identify the base", 0, 1, asked.note)
 

@@ -82,6 +82,17 @@ def processors() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def begin_early(executor: Executor, function: Callable) -> None:
+    """Let processes of this machine begin now, and import what a function of jobs needs, not one by one with jobs."""
+    if isinstance(executor, ProcessPoolExecutor):
+        for _ in range(processors()):
+            executor.submit(_imported, function)
+
+
+def _imported(function: Callable) -> None:
+    """In a worker: with the name of a function its module has come."""
+
+
 class Here(Executor):
     """Runs every job at once, in the thread that submits it."""
 

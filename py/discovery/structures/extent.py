@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable
 
+import numpy as np
+
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING
 from ..evidence.score import score
@@ -40,6 +42,14 @@ def with_fewer_windows(table: Table, first: int) -> bool:
         table.question = dataclasses.replace(table.question, windows=max(enough, FEWEST))
         return True
     return False
+
+
+def enough_windows(table: Table, look: Look) -> int:
+    """How many windows of the length of a look show what it leaves well."""
+    question, stage = table.question, look.begin
+    seconds = sum(r.time[-1] - r.time[0] for r in question.fit)
+    there = min(question.windows, seconds / question.lengths[stage])
+    return max(int(np.ceil(there * min(1.0, ENOUGH / table.in_windows(look, stage)))), 1)
 
 
 def beginnings(question: Question, part: float) -> Question:

@@ -16,11 +16,13 @@ from ..fits.job import Fitted, Look
 from ..fits.whole import led
 from .alternatives import batches
 from .base import SAME
+from .extent import enough_windows
 from .foreseen import beside, foreseen, promising
 from .jobs import Jobs
 from .starts import compatible
 from .table import Entry, Table
 
+AT_ONCE = 2  # fits between which it is asked whether one explains all: one that does not takes all of its seconds
 EARLY = 0.4  # of what a part of it leaves: what promises to leave less is fitted as soon as it is seen
 
 
@@ -75,11 +77,12 @@ class Growth:
         if not along:
             return False
         level = enough = EARLY * table.promise(Entry(best.members, look=along))
+        windows = enough_windows(table, along)
         found, fitted = [], []
         others = [table.possible((*best.members, c)) for c in self._order(best, first)]
         for together in batches([e for e in others if compatible(e.members)], self.batch):
             batch = [e for e in together if table.usable(e)]
-            for entry, look in zip(batch, self.run([jobs.grown(e, best, along) for e in batch]), strict=True):
+            for entry, look in zip(batch, self.run([jobs.grown(e, best, along, windows) for e in batch]), strict=True):
                 entry.look = look if isinstance(look, Look) else None
             seen = [e for e in batch if e.look and table.promise(e) < enough]
             found += seen
@@ -127,10 +130,12 @@ class Growth:
             entry = table.entry(one.members)
             entry.look = entry.look or one.look
             entries += [entry] if entry.open else []
-        self._keep(best, entries, self.run([self.jobs.plain_soon(e) for e in entries], led))
-        if not table.explained():
-            more = [e for e in entries if not (e.fitted and table.share(e) < SAME + table.promise(e))]
-            self._keep(best, more, self.run([self.jobs.whole_soon(e) for e in more]))
+        for some in batches(entries, AT_ONCE):
+            self._keep(best, some, self.run([self.jobs.plain_soon(e) for e in some], led))
+            if table.explained():
+                return
+        more = [e for e in entries if not (e.fitted and table.share(e) < SAME + table.promise(e))]
+        self._keep(best, more, self.run([self.jobs.whole_soon(e) for e in more]))
 
     def _to_first_order(self, best: Entry, first: int) -> None:
         """Fit what is expected to leave least beside the best, to first order from where that was fitted."""

@@ -116,15 +116,16 @@ class Jobs:
         settings = {"stages": (stage, stage + 1), "seconds": self.effort.look, "tells_courses": True}
         return self.of(known, [*values, *beside], **settings, course=look.courses[stage], size=look.size_at(stage))
 
-    def grown(self, entry: Entry, part: Entry, along: Look) -> Job:
-        """What stands beside a part of a structure, at any of its sizes, in windows along the part's own course.
+    def grown(self, entry: Entry, part: Entry, along: Look, windows: int) -> Job:
+        """What stands beside a part of a structure, at any of its sizes, in so many windows along the part's course.
 
         What does nothing there leaves as much as the part.
         """
         more = [c for c in entry.members if c not in part.members]
         starts = self._sizes(more, part if part.fitted else self.table.entry(), along.values)
         settings = {"stages": (along.begin, along.end), "seconds": self.effort.look, "size": along.size}
-        return self.of(entry, starts, **settings, course=along.courses[0])
+        job = self.of(entry, starts, **settings, course=along.courses[0])
+        return dataclasses.replace(job, question=dataclasses.replace(job.question, windows=windows))
 
     def through_windows_of(self, other: Entry) -> Job:
         """The base through all windows from where another structure began to explain them."""

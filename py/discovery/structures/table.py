@@ -13,7 +13,7 @@ from hydrotwin.models.language.model import Model
 
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING, Key, Posterior, Prices, posterior, temperature
-from ..evidence.score import Floor, Spectrum, least, score, sharper
+from ..evidence.score import Floor, Spectrum, by_output, least, score, sharper
 from ..fits.job import Fitted, Look, Question
 from .starts import compatible
 
@@ -247,9 +247,9 @@ class Table:
             left = score(entry.look.left, Floor(self.noise, self.coloured, base.variance))
             return left / whole if whole > 0 else 1.0
         stage = max(min(entry.look.end, most or entry.look.end) - 1, entry.look.begin)
-        before = self.base_in_windows(stage)
+        before, left = self.base_in_windows(stage), self._left(entry.look, stage)
         whole = self._in_windows(before)
-        return self._in_windows(self._left(entry.look, stage), before) / whole if whole > 0 else 1.0
+        return self._in_windows(left, before, before.counts) / whole if whole > 0 else 1.0
 
     def was_right(self, entry: Entry, share: float) -> bool:
         """Whether a structure leaves no more than a ``share`` in windows of some length that show what is missing."""
@@ -276,8 +276,11 @@ class Table:
         k = stage - look.begin
         return Spectrum(look.squares[k : k + 1], look.counts[k : k + 1])
 
-    def _in_windows(self, left: Spectrum, base: Spectrum | None = None) -> float:
-        return score(left, Floor(self.question.noise, np.zeros_like(self.coloured), base and base.variance))
+    def _in_windows(self, left: Spectrum, base: Spectrum | None = None, counts: np.ndarray | None = None) -> float:
+        """S in windows, as if they were as many as hold so many values."""
+        each = by_output(left, Floor(self.question.noise, np.zeros_like(self.coloured), base and base.variance))
+        times = 1.0 if counts is None else np.max(counts) / max(np.max(left.counts), 1.0)
+        return float(np.nansum(each)) * float(times)
 
     def share(self, entry: Entry) -> float:
         """Share of what the base leaves of whole recordings that a fitted structure leaves."""

@@ -29,7 +29,7 @@ from .asked import Asked, Wanted, bounded, free_names
 from .assumed import fairly, judge_samples, with_assumptions
 from .evidence.score import Spectrum
 from .fits.job import Fitted, Look
-from .fits.whole import conclude
+from .fits.whole import conclude, judged
 from .fits.whole import step as next_step
 from .recordings import split
 from .structures.jobs import EFFORTS
@@ -161,7 +161,7 @@ def _runner(pool, report, memory, cores: int = 1):
         last = len(jobs) % cores
         threads = [cores // last if len(jobs) - i <= last else 1 for i in range(len(jobs))]
         ready = [_portable(*job) for job in zip(jobs, threads, strict=True)]
-        kept = function not in (conclude, judge_samples)  # soon done again; nothing that judges is remembered
+        kept = function not in (conclude, judged, judge_samples)  # soon done again; nothing that judges is remembered
         return list(recalled(memory, pool, function, ready, on_done, kinds=KEPT, kept=kept))
 
     return run

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +21,7 @@ from ..diagnosis.regions import regions
 from ..diagnosis.unknown import describe_unknown
 from ..evidence.deciding import DECIDING
 from ..evidence.gaps import CLEARLY, LARGE, gap_closed, has_gap, pooled_rmse
-from ..fits.whole import Concluded, conclude
+from ..fits.whole import Concluded, conclude, judged
 from ..recordings import Split
 from ..structures.search import Search
 from ..structures.table import Entry
@@ -38,12 +38,15 @@ MEMBERS = 3  # of a class that an experiment is designed for
 
 @dataclass(frozen=True, eq=False)
 class Finals:
-    """Final fits: of the base, of what is kept, of rivals and of the kept without one effect, by label."""
+    """Final fits: of the base, of what is kept, and of rivals, by label.
+
+    without : what the kept without one effect leaves of what judges, by its label.
+    """
 
     before: Concluded
     after: Concluded
     rivals: Mapping[str, Concluded]
-    without: Mapping[str, Concluded]
+    without: Mapping[str, Sequence[np.ndarray]]
 
 
 def answer(search: Search, data: Split, model: Model) -> Discovery:
@@ -112,21 +115,30 @@ def _finals(search: Search, data: Split, said: Standing) -> Finals:
             for other in said.members(effect)[1:]:
                 needed.setdefault(other.label, table.entry([*rest, other]))
         needed = dict(list(needed.items())[:MOST_RIVALS])
-        if len(kept.members) > 1 and data.report:
-            parts = {c.label: table.entry(m for m in kept.members if m is not c) for c in kept.members}
-            needed |= {f"without {label}": part for label, part in parts.items()}
     entries = {"": base, **({"kept": kept} if kept is not base else {}), **needed}
-    entries = {name: e for name, e in entries.items() if e.fitted}
-    answers = dict(zip(entries, search.run(conclude, [_last(search, data, e) for e in entries.values()], "final fit"),
-                       strict=True))  # fmt: skip
+    found = _answers(search, data, conclude, entries)
     for name in ("", "kept"):
-        if isinstance(answers.get(name), str):
-            raise SolveError(answers[name])
-    good = {name: one for name, one in answers.items() if not isinstance(one, str)}
+        if isinstance(found.get(name), str):
+            raise SolveError(found[name])
+    good = {name: one for name, one in found.items() if not isinstance(one, str)}
     before = good.pop("")
-    after = good.pop("kept", before)
-    without = {n.removeprefix("without "): one for n, one in good.items() if n.startswith("without ")}
-    return Finals(before, after, {n: one for n, one in good.items() if not n.startswith("without ")}, without)
+    return Finals(before, good.pop("kept", before), good, _without_one(search, data, kept))
+
+
+def _without_one(search: Search, data: Split, kept: Entry) -> dict[str, Sequence[np.ndarray]]:
+    """What the kept without one of its effects leaves of what judges, by the label of that."""
+    if len(kept.members) < 2 or not data.report:
+        return {}
+    parts = {c.label: search.table.entry(m for m in kept.members if m is not c) for c in kept.members}
+    found = _answers(search, data, judged, parts)
+    return {label: left for label, left in found.items() if not isinstance(left, str)}
+
+
+def _answers(search: Search, data: Split, function: Callable, entries: Mapping[str, Entry]) -> dict:
+    """What a function answers of structures that were fitted, from where they stand."""
+    fitted = {name: e for name, e in entries.items() if e.fitted}
+    answers = search.run(function, [_last(search, data, e) for e in fitted.values()], "final fit")
+    return dict(zip(fitted, answers, strict=True))
 
 
 def _last(search: Search, data: Split, entry: Entry):
@@ -178,7 +190,7 @@ def _doubts(said: Standing, finals: Finals, data: Split) -> dict[str, float]:
     """What is left of the probability of an effect, by label, where what judges is explained better without it."""
     left = {}
     for label, other in finals.without.items():
-        with_it, without = pooled_rmse(finals.after.residuals_report), pooled_rmse(other.residuals_report)
+        with_it, without = pooled_rmse(finals.after.residuals_report), pooled_rmse(other)
         gain = float(np.nansum(np.log(np.fmax(with_it, data.noise) / np.fmax(without, data.noise))))
         if gain > 0.05:
             left[label] = float(np.exp(-2 * gain))

@@ -10,6 +10,7 @@ Source: Atkinson & Fedorov, Biometrika 1975 (T-optimum design: discriminating be
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from itertools import combinations
 
@@ -54,8 +55,9 @@ def next_experiment(
     for candidate in candidates(limits, flat_inputs[j].unit):
         u = np.tile(others, (len(limits.time), 1))
         u[:, j] = candidate.values
-        runs = [m.run(limits.time, u) for m in runners]
-        if all(y is not None for y in runs):
+        reached = (m.run(limits.time, u) for m in runners)
+        runs = list(itertools.takewhile(lambda y: y is not None, reached))
+        if len(runs) == len(runners):
             furthest = max(leaves(y, span) for y in runs)
             apart = _score([_rms((b - a) / question.noise)[0] for a, b in combinations(runs, 2)])
             tried.append((furthest, apart, candidate, u))

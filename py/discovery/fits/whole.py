@@ -229,15 +229,18 @@ def _size(task: Task, left: Sequence[np.ndarray]) -> np.ndarray:
     return not_below(task.noise, rmse)
 
 
-def residuals_of(task: Task, found: Minimum, recordings=None) -> list[np.ndarray]:
-    """Residuals (n, ny), SI, of free runs, infinite where one diverges; of other recordings with starts estimated."""
-    if recordings is None:
-        return _runs(task, whole_runs(task)[0], found.q, found.z)
+def residuals_of(task: Task, found: Minimum) -> list[np.ndarray]:
+    """Residuals (n, ny), SI, of free runs, infinite where one diverges."""
+    return _runs(task, whole_runs(task)[0], found.q, found.z)
+
+
+def _elsewhere(task: Task, q: np.ndarray, recordings: Sequence) -> tuple[np.ndarray, ...]:
+    """The same of recordings that take no part, with starts estimated, at scaled parameters."""
     runs, task = [], undecided(task)
     for recording in recordings:
-        shooting, z = held_out_run(task, found.q, recording)
-        runs += _runs(task, shooting, found.q, z)
-    return runs
+        shooting, z = held_out_run(task, q, recording)
+        runs += _runs(task, shooting, q, z)
+    return tuple(runs)
 
 
 def _runs(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray) -> list[np.ndarray]:
@@ -307,8 +310,20 @@ def _conclude(job: Job) -> Concluded:
     left = residuals_of(task, found)
     settings = {"weights": "residual", "initial_states": q.initial_states, "step": q.step}
     one = answer(task, [found], (), settings, began)
-    judged = tuple(residuals_of(_judging(task, job), found, q.select)) if q.select else ()
+    judged = _elsewhere(_judging(task, job), found.q, q.select) if q.select else ()
     return Concluded(one, concluded(task, found, left), tuple(left), judged)
+
+
+def judged(job: Job) -> tuple[np.ndarray, ...] | str:
+    """What a structure leaves of what judges (n, ny), SI, where its fit ended; a sentence when it diverges.
+
+    Pure and picklable.
+    """
+    try:
+        task = task_of(job, job.starts[0], not_below(job.question.noise, job.size), moving_starts(job), rough=True)
+        return _elsewhere(task, task.free.scaled(task.free.start), job.question.select)
+    except SolveError as error:
+        return str(error)
 
 
 def _judging(task: Task, job: Job) -> Task:

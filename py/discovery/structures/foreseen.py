@@ -14,9 +14,9 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import prepare
 
-from ..fits.response import WINDOWS, Responses, stretch_of
+from ..fits.response import WINDOWS, Promise, Responses, stretch_of
 from .jobs import Jobs
-from .starts import compatible, sized
+from .starts import compatible, sized, usually
 from .table import Entry, Table
 
 GROWN = 2  # structures, the best, to which effects are added
@@ -109,9 +109,14 @@ def _foreseen(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate
             found.append((one, starts, along.of(model, sets)))
     promises = along.promises([response for *_, response in found]) if found else []
     return {
-        one.label: Foreseen(promise.left, sized(one, starts[promise.which], promise.size) if promise.size > 0 else {})
+        one.label: Foreseen(promise.left, _expected(one, starts, promise) if promise.size > 0 else {})
         for (one, starts, _), promise in zip(found, promises, strict=True)
     }
+
+
+def _expected(one: Candidate, starts: Sequence[Mapping[str, float]], promise: Promise) -> dict[str, float]:
+    """The values at which it explains most to first order, which knows of no bounds: no mass becomes negative."""
+    return usually(one, sized(one, starts[promise.which], promise.size))
 
 
 def _along(table: Table, jobs: Jobs, known: Entry, flat: FlatModel, values: Mapping[str, float]) -> Responses:

@@ -250,18 +250,15 @@ class Search:
     def _climb(self, entries: Sequence[Entry], later: int = 0) -> None:
         """Lead structures on through longer windows to whole recordings, always those that promise most.
 
-        Ends when what is left promises less than the best did and reached, or so many later; reached, if it explains
-        all.
+        Ends when one explains all, for the others are asked from there, or when what is left promises less than the
+        best did and reached, or so many later.
         """
         table, beyond = self.table, 0
-        while waiting := sorted((e for e in entries if e.open), key=table.promise):
-            done = [e for e in entries if e.fitted and e.members]
-            best = min(done, key=table.share, default=None)
-            reached = table.share(best) if best else table.promise(waiting[0])
-            if best and not table.explained():  # else what looked no better than the best did is asked from there
-                reached = max(reached, table.promise(best))
+        while not table.explained() and (waiting := sorted((e for e in entries if e.open), key=table.promise)):
+            best = min((e for e in entries if e.fitted and e.members), key=table.share, default=None)
+            reached = max(table.share(best), table.promise(best)) if best else table.promise(waiting[0])
             near = table.promise(waiting[0]) < SAME + reached
-            if not near and (table.explained() or beyond >= later):
+            if not near and beyond >= later:
                 return
             level = SAME + (reached if near else table.promise(waiting[0]))
             chosen = [e for e in waiting if table.promise(e) < level][: self.effort.together]

@@ -101,6 +101,12 @@ def sized(candidate: Candidate, start: Mapping[str, float], part: float) -> dict
     return {**start, **{n: candidate.neutral[n] + part * (start[n] - candidate.neutral[n]) for n in grows}}
 
 
+def usually(candidate: Candidate, start: Mapping[str, float]) -> dict[str, float]:
+    """A start that goes no further from where the effect is absent than usual values do."""
+    away = {n: (*candidate.typical[n], candidate.neutral[n]) for n in candidate.typical if n in start}
+    return {**start, **{n: float(np.clip(start[n], min(values), max(values))) for n, values in away.items()}}
+
+
 def compatible(members: Sequence[Candidate]) -> bool:
     """Whether effects may stand together: none is a finer form of another, or the same parameter."""
     pairs = itertools.permutations(members, 2)

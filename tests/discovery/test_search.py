@@ -76,6 +76,15 @@ def test_a_time_limit_ends_the_search_with_what_is_known():
     assert search.table.entry().fitted
 
 
+def test_with_a_time_limit_no_more_than_a_few_jobs_run_before_the_time_is_asked():
+    search = begun(records(3, pulse=80.0), SOME, until=time.monotonic() + 1e6)
+    run, sizes = search.run, []
+    search.run = lambda function, jobs, stage: (sizes.append(len(jobs)), run(function, jobs, stage))[1]
+    search.go()
+    assert search.table.seen_all() and len(search.table.candidates) > search.effort.together
+    assert max(sizes) <= search.effort.together
+
+
 def test_a_candidate_that_fails_costs_only_itself(monkeypatch):
     from hydrotwin.discovery.structures import table
 

@@ -293,14 +293,14 @@ class Search:
         What does nothing beside the base waits until nothing else explains all. Of two minima that do that one counts
         which is near to what is known.
         """
-        entries = [e for e in entries if e.key not in self.twice]
-        self.twice.update(e.key for e in entries)
-        jobs = [self.jobs.from_its_start(e, first) for e in entries]
-        for e, found in zip(entries, self._ran(jobs), strict=True):
-            before, enough = e.look, max(self.table.promise(e), SAME)
-            if isinstance(found, Look):
-                e.look, e.failed = found, ""
-                e.look = before if before and self.table.promise(e) > enough else found
+        for batch in batches([e for e in entries if e.key not in self.twice], self.batch):
+            self.twice.update(e.key for e in batch)
+            looks = self._ran([self.jobs.from_its_start(e, first) for e in batch])
+            for e, found in zip(batch, looks, strict=True):
+                before, enough = e.look, max(self.table.promise(e), SAME)
+                if isinstance(found, Look):
+                    e.look, e.failed = found, ""
+                    e.look = before if before and self.table.promise(e) > enough else found
 
     def _settle(self, known: Sequence[Entry]) -> None:
         """Fit again what may have come to rest beside its minimum, and ask what that says of the base."""

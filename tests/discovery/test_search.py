@@ -77,7 +77,7 @@ def test_a_time_limit_ends_the_search_with_what_is_known():
 
 
 def test_with_a_time_limit_no_more_than_a_few_jobs_run_before_the_time_is_asked():
-    search = begun(records(3, pulse=80.0), SOME, until=time.monotonic() + 1e6)
+    search = begun(records(2, pulse=80.0), SOME, effort="quick", most=1, until=time.monotonic() + 1e6)
     run, sizes = search.run, []
     search.run = lambda function, jobs, stage: (sizes.append(len(jobs)), run(function, jobs, stage))[1]
     search.go()

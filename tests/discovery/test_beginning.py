@@ -140,3 +140,4 @@ def test_while_the_beginnings_are_searched_the_answer_so_far_counts_what_was_loo
     others = [r.reason for s in said.steps for r in s.ranked if r.fate == "not fitted"]
     assert others and all("to first order" in why or "he beginnings of the" in why for why in others)
     assert any("4 of 6 candidates were looked at so far, 1 structure fitted, in the beginnings" in c for c in counted)
+    assert any("beginnings of the recordings, where Coulomb friction at mass.flange explains all" in c for c in counted)

@@ -13,8 +13,10 @@ from hydrotwin.models.language.model import Model
 from ..evidence.posterior import NOTHING
 from ..recordings import Split
 from ..structures.search import Search
+from ..structures.table import Table
 from .answering import answer
 from .discovery import Discovery
+from .words import joined, lowered
 
 AFTER = 45.0  # seconds until it is told first
 EVERY = 60.0  # seconds at least between two
@@ -67,16 +69,27 @@ def as_it_stands(search: Search, data: Split, model: Model) -> Discovery:
     told = f"gap: the search goes on: {counted}. The answer is the best of those, and may change."
     reason = found.reason
     if found.verdict == "unknown" and not reason:
-        reason = f"Something is missing, and nothing that was fitted explains it yet: {counted}."
+        fitted = "fitted to all recordings" if search.part else "fitted"
+        reason = f"Something is missing, and nothing that was {fitted} explains it yet: {counted}."
     untried = tuple(" + ".join(e.key) for e in search.waiting()[:5])
     return dataclasses.replace(found, reason=reason, findings=(told, *found.findings), untried=untried)
 
 
 def _counted(search: Search) -> str:
     """How far it is."""
-    table, where = (search.part.table, ", in the beginnings of the recordings") if search.part else (search.table, "")
+    table = search.part.table if search.part else search.table
+    where = f", in the beginnings of the recordings{_closest(table)}" if search.part else ""
     alone = [table.entries.get((c.label,)) for c in table.candidates]
     looked = sum(bool(e and e.seen) for e in alone)
     fitted = sum(bool(e.members) for e in table.fitted)
     structures = "1 structure" if fitted == 1 else f"{fitted} structures"
     return f"{looked} of {len(alone)} candidates were looked at so far, {structures} fitted{where}"
+
+
+def _closest(table: Table) -> str:
+    """What leaves least in the beginnings of recordings, of which the table of the answer does not know yet."""
+    best = min((e for e in table.fitted if e.members), key=table.score, default=None)
+    if not best:
+        return ""
+    names = joined([f"{lowered(c.effect.title)} at {c.site.name}" for c in best.members])
+    return f", where {names} {'explains all' if table.explained([best]) else 'leaves least'}"

@@ -48,7 +48,13 @@ void *const {name}[] = {{{functions}}};
 @cache
 def driver_source(side_by_side: bool = False) -> str:
     """What runs every model; ``side_by_side``: many parameter sets of one at once, too."""
-    texts = ("driver.c", "sensitivities.c", "implicit.c", *(("vectors.c", "lanes.c") if side_by_side else ()))
+    texts = (
+        "driver.c",
+        "explicit.c",
+        "sensitivities.c",
+        "implicit.c",
+        *(("vectors.c", "lanes.c") if side_by_side else ()),
+    )
     constants = [
         f"#define SMOOTH {SMOOTH!r} /* tolerances */",
         f"#define TOLERANCE {TOLERANCE!r}",

@@ -102,7 +102,12 @@ def sized(candidate: Candidate, start: Mapping[str, float], part: float) -> dict
 
 
 def usually(candidate: Candidate, start: Mapping[str, float]) -> dict[str, float]:
-    """A start that goes no further from where the effect is absent than usual values do."""
+    """A start of a parameter of the model that goes no further from its value than usual: no mass is negative.
+
+    How large other effects are depends on the machine, and usual sizes may be far too small for it.
+    """
+    if not candidate.site.frees:
+        return dict(start)
     away = {n: (*candidate.typical[n], candidate.neutral[n]) for n in candidate.typical if n in start}
     return {**start, **{n: float(np.clip(start[n], min(values), max(values))) for n, values in away.items()}}
 

@@ -205,6 +205,12 @@ def begun(runs, effects, model=None, effort="normal", most=3, until=np.inf, vali
     return Search(asked.table(STEP, told), run, EFFORTS[effort], most, until)
 
 
+def tried(search: Search, *entries) -> None:
+    """Look at structures and fit them."""
+    search._look(entries)
+    search._fit(entries)
+
+
 def searched(runs, effects, time_limit: float | None = None, **more) -> tuple[Search, Standing]:
     """The same when it has come to its end, and what it says."""
     until = np.inf if time_limit is None else clock.monotonic() + time_limit

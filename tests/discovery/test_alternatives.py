@@ -13,7 +13,7 @@ from hydrotwin.discovery.structures import alternatives
 from hydrotwin.discovery.structures.alternatives import FIRST
 from hydrotwin.discovery.structures.foreseen import Foreseen, foreseen
 from hydrotwin.discovery.structures.search import OutOfTime
-from tests.discovery.slides import begun, records
+from tests.discovery.slides import begun, records, tried
 
 EFFECTS = ("coulomb_friction", "presliding_friction", "null_bias", "dead_time", "sensor_scale", "command_saturation")
 
@@ -28,8 +28,7 @@ def right():
     search = begun(records(3, dry=60.0), EFFECTS)
     search.identify()
     friction = entry(search, "coulomb_friction")
-    while friction.open:
-        search._advance([friction])
+    tried(search, friction)
     return search
 
 
@@ -79,8 +78,7 @@ def small():
     search = begun(records(3, dry=2.0), EFFECTS)
     search.identify()
     search._to_whole_recordings()
-    search._advance([entry(search, "coulomb_friction")])
-    search._advance([entry(search, "coulomb_friction")])
+    tried(search, entry(search, "coulomb_friction"))
     return search
 
 

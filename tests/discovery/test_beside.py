@@ -15,7 +15,7 @@ from hydrotwin.discovery.fits.job import WINDOWS
 from hydrotwin.discovery.structures.search import OutOfTime
 from hydrotwin.identification.assumptions import Change
 from hydrotwin.identification.outliers import Strays
-from tests.discovery.slides import begun, records
+from tests.discovery.slides import begun, records, tried
 from tests.discovery.test_standing import seen
 from tests.discovery.test_table import leaving
 
@@ -78,8 +78,7 @@ def test_at_the_end_of_the_time_a_pair_is_held_against_its_effects_alone(monkeyp
     search.identify()
     by = {c.id: c for c in search.table.candidates}
     pair = search.table.entry([by["coulomb_friction"], by["null_bias"]])
-    while pair.open:
-        search._advance([pair])
+    tried(search, pair)
     monkeypatch.setattr(search, "_go", out_of_time)
     search.go()
     assert search.table.entry([by["coulomb_friction"]]).fitted
@@ -92,13 +91,13 @@ def test_what_promises_alone_is_led_on_alone_and_what_promises_alike_together(mo
     promised = {"coulomb_friction": 0.2, "null_bias": 0.99, "dead_time": 0.98, "stribeck_friction": 0.99}
     entries = [search.table.entry([c]) for c in search.table.candidates]
 
-    def advance(chosen):
+    def fit(chosen, later=False):
         led.append({e.members[0].id for e in chosen})
         for entry in chosen:
             entry.fitted = leaving(90.0)
 
     monkeypatch.setattr(search.table, "promise", lambda e, most=None: promised[e.members[0].id])
-    monkeypatch.setattr(search, "_advance", advance)
+    monkeypatch.setattr(search, "_fit", fit)
     search._climb(entries)
     assert led == [{"coulomb_friction"}]  # pairs with it come before what promises nothing
     search._climb(entries, later=1)
@@ -111,30 +110,15 @@ def test_no_pair_is_formed_before_every_single_effect_was_looked_at(monkeypatch)
     entries = [search.table.entry([c]) for c in search.table.candidates]
     search.effort = dataclasses.replace(search.effort, together=1)
 
-    def advance(chosen, first=1):
+    def look(chosen):
         order.extend("look" for e in chosen)
         chosen[0].fitted = chosen[0].fitted or leaving(20.0)
 
-    monkeypatch.setattr(search, "_advance", advance)
+    monkeypatch.setattr(search, "_look", look)
     monkeypatch.setattr(search, "_fit_as_it_stands", lambda entries: None)
     monkeypatch.setattr(search.growth, "grow", lambda first: order.append("grow"))
     search._looked(entries)
     assert order == ["grow", *["look"] * len(entries)]  # before them, of what smaller structures left
-
-
-def test_nothing_is_fitted_through_its_windows_again_where_something_explains_all(monkeypatch):
-    search, asked = filled(base=100.0, coulomb_friction=1.0, null_bias=50.0), []
-    search.jobs.windows = search.table.question
-    [bias] = [e for e in search.table.fitted if e.key and e.members[0].id == "null_bias"]
-    monkeypatch.setattr(search.jobs, "anew", asked.append)
-    monkeypatch.setattr(search, "_ran", lambda jobs, function=None: ["not asked"] * len(jobs))
-    monkeypatch.setattr(search, "_free_base", lambda known: None)
-    search._settle([bias])
-    assert not asked
-    [friction] = [e for e in search.table.fitted if e.key and e.members[0].id == "coulomb_friction"]
-    friction.fitted = leaving(40.0)
-    search._settle([bias])
-    assert asked == [bias]
 
 
 @pytest.mark.parametrize("explained", [True, False])
@@ -145,8 +129,8 @@ def test_whole_recordings_take_over_where_windows_explain_nothing(monkeypatch, e
     def through(most):
         asked.append((most, bool(search.first)))
         entry = search.table.entry([by["coulomb_friction"]])
-        while explained and entry.open:
-            search._advance([entry])
+        if explained:
+            tried(search, entry)
         return []
 
     monkeypatch.setattr(search, "_through", through)
@@ -212,7 +196,7 @@ def test_when_the_time_is_over_before_any_fit_the_most_promising_are_fitted(monk
     search = begun(records(3, dry=200.0), ("null_bias", "dead_time", "sensor_scale"))
 
     def through(most):
-        search._advance([search.table.entry([c]) for c in search.table.candidates], search.first)
+        search._look([search.table.entry([c]) for c in search.table.candidates])
         raise OutOfTime
 
     monkeypatch.setattr(search, "_through", through)

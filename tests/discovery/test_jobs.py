@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.fits.job import factor
-from hydrotwin.discovery.fits.whole import step, trajectories
-from tests.discovery.slides import begun, records
+from hydrotwin.discovery.fits.whole import led, step, trajectories
+from tests.discovery.slides import begun, records, tried
 from tests.discovery.test_table import leaving
 
 SOME = ("coulomb_friction", "null_bias")
@@ -26,21 +26,20 @@ def friction(search):
     return search.table.entry([next(c for c in search.table.candidates if c.id == "coulomb_friction")])
 
 
-def test_looks_begin_where_the_shortest_windows_led_the_base_and_go_on_where_shorter_windows_ended(search):
+def test_looks_begin_where_the_shortest_windows_led_the_base_and_fits_where_looks_ended(search):
     entry, led = friction(search), search.table.entry().look.shortest
     first = search.jobs.next(entry, 1)
     assert first.stages == (0, 1) and all(start["mass.mass"] == led["mass.mass"] for start in first.starts)
-    search._advance([entry], 1)
+    search._look([entry])
     then = search.jobs.next(entry, 1)
-    assert then.starts == (entry.look.values,) and then.stages == (0, 2), "shorter windows tell the states there"
-    assert then.course is search.table.entry().look.courses[0]
+    assert then.stages is None and then.starts[0] == entry.look.values
 
 
-SEEN = [((0.5, 0.1), 0.1), ((1.01, 0.1), 1.01), ((3.0, 0.1), 0.1), ((3.0, 4.0), 3.0), ((0, 0.01), 0.01), ((0, 0.3), 0)]
+SEEN = [((0.5, 0.1), 0.1), ((3.0, 0.1), 0.1), ((3.0, 4.0), 3.0), ((0, 0.01), 0.01), ((0, 0.3), 0)]
 
 
 @pytest.mark.parametrize(("promised", "again"), SEEN)
-def test_what_does_anything_is_looked_at_from_the_users_start_too(search, monkeypatch, promised, again):
+def test_of_looks_from_a_bent_base_and_from_the_users_start_the_better_one_counts(search, monkeypatch, promised, again):
     """The look that is kept: of two that explain all that from the user's start, else that which leaves less."""
     entry, looks = friction(search), {}
 
@@ -50,29 +49,10 @@ def test_what_does_anything_is_looked_at_from_the_users_start_too(search, monkey
         return found
 
     monkeypatch.setattr(search, "_ran", run)
-    monkeypatch.setattr(search, "_settle", lambda known: None)
     monkeypatch.setattr(search.table, "promise", lambda e, most=None: looks[id(e.look)] if e.look else 1.0)
-    search.idle = search.table.entry().look, 1.0
-    search._advance([entry], 1)
+    search._look([entry])
+    search._look_again([entry], 1)
     assert looks[id(entry.look)] == again
-
-
-def test_what_leaves_as_much_as_the_base_after_as_many_steps_more_is_not_looked_at_again(search, monkeypatch):
-    """The base goes on a little under the weights of its end, and so does every effect that does nothing beside it."""
-    entry, asked = friction(search), []
-    monkeypatch.setattr(search, "_look_again", lambda entries, first: asked.extend(entries))
-    monkeypatch.setattr(search, "_settle", lambda known: None)
-    for promised, others in ((0.9, []), (0.5, [entry])):
-        entry.look, search.idle = None, (search.table.entry().look, 0.9)
-        monkeypatch.setattr(search.table, "promise", lambda e, most=None, known=promised: known)
-        search._advance([entry], 1)
-        assert asked == others
-
-
-def test_what_does_nothing_is_known_by_a_look_of_the_base(search):
-    base = search.table.entry().look
-    idle = search._idle(1)
-    assert 0.9 < idle <= 1.0 and search.table.entry().look is base and search.idle == (base, idle)
 
 
 def test_another_frequency_is_where_structures_begin_beside_the_users(search):
@@ -118,7 +98,7 @@ def test_else_looks_begin_where_the_base_ended_in_the_part_they_see(search):
 def test_a_fit_from_its_own_start_goes_through_the_windows_that_looks_left_out(search):
     lengths = search.table.question.lengths
     search._to_whole_recordings()
-    job = search.jobs.anew(friction(search))
+    job = search.jobs.plain_soon(friction(search))
     assert lengths and job.question.lengths == lengths and not search.table.question.lengths
     assert all("mass.mass" not in start for start in job.starts)
 
@@ -126,7 +106,7 @@ def test_a_fit_from_its_own_start_goes_through_the_windows_that_looks_left_out(s
 def test_a_look_at_whole_recordings_begins_where_a_part_of_the_structure_ended_too(search):
     search._to_whole_recordings()
     part = friction(search)
-    (part.fitted,) = search._ran([search.jobs.anew(part)])
+    (part.fitted,) = search._ran([search.jobs.plain_soon(part)], led)
     both = search.table.entry(search.table.candidates)
     job = search.jobs.next(both, 0)
     bias = next(n for n in search.table.names(both) if n not in part.fitted.values)
@@ -143,7 +123,7 @@ def test_a_limit_that_joins_a_structure_begins_where_the_run_of_that_structure_j
     search.identify()
     search._to_whole_recordings()
     part, limit = friction(search), next(c for c in search.table.candidates if c.id == "sensor_saturation")
-    (part.fitted,) = search._ran([search.jobs.anew(part)])
+    tried(search, part)
     doubled = dict(part.fitted.values, **{"mass.damping": part.fitted.values["mass.damping"] / 2})
     part.fitted = dataclasses.replace(part.fitted, values=doubled)
     job = search.jobs.from_part(search.table.entry([*part.members, limit]), part)

@@ -16,7 +16,7 @@ from hydrotwin.discovery.structures.extent import beginnings
 from hydrotwin.discovery.structures.jobs import Jobs
 from hydrotwin.identification.frequencies import detuned
 from hydrotwin.identification.problem import free_parameters
-from tests.discovery.slides import NOISE, begun, records
+from tests.discovery.slides import NOISE, begun, records, tried
 
 SOME = ("coulomb_friction", "dead_time", "sensor_scale")
 
@@ -113,8 +113,7 @@ def test_what_was_looked_at_from_a_bent_base_is_fitted_from_its_own_start_too(mo
     search._to_whole_recordings()
     monkeypatch.setattr(Jobs, "whole", lambda self, entry: self.of(entry, [{"mass.mass": 900.0}], iterations=1))
     entry = search.table.entry([next(c for c in search.table.candidates if c.id == "coulomb_friction")])
-    while entry.open:
-        search._advance([entry])
+    tried(search, entry)
     force = next(v for n, v in entry.fitted.values.items() if n.endswith(".force"))
     assert force == pytest.approx(30.0, rel=0.03) and entry.fitted.rmse == pytest.approx([NOISE], rel=0.05)
 
@@ -137,8 +136,7 @@ def test_what_was_fitted_in_a_part_is_no_look_in_another():
     search.identify()
     search._to_whole_recordings()
     entry = search.table.entry([next(c for c in search.table.candidates if c.id == "coulomb_friction")])
-    while entry.open:
-        search._advance([entry])
+    tried(search, entry)
     shorter = beginnings(search.table.question, 0.25)
     search.table.look_anew()
     search.table.entry().look = search._ran([search.jobs.glance(search.table.entry(), shorter)])[0]

@@ -11,7 +11,7 @@ from hydrotwin.discovery.structures import search as search_module
 from hydrotwin.discovery.structures.foreseen import foreseen, larger, singles
 from hydrotwin.discovery.structures.jobs import EFFORTS
 from hydrotwin.discovery.structures.starts import compatible
-from tests.discovery.slides import NOISE, begun, found, records, searched, slide
+from tests.discovery.slides import NOISE, begun, found, records, searched, slide, tried
 
 SOME = ("coulomb_friction", "null_bias", "dead_time", "sensor_bias", "sensor_scale", "command_saturation")
 
@@ -153,8 +153,7 @@ def test_a_structure_is_never_left_worse_than_a_part_of_it(worse):
     search, asked = begun(records(3, dry=30.0), ("coulomb_friction", "null_bias")), []
     search.identify()
     alone = one(search, "coulomb_friction")
-    while alone.open:
-        search._advance([alone])
+    tried(search, alone)
     table, real = search.table, search.run
 
     def hollow(function, jobs, stage):
@@ -167,8 +166,7 @@ def test_a_structure_is_never_left_worse_than_a_part_of_it(worse):
 
     search.run = hollow
     pair = table.entry(table.candidates)
-    while pair.open:
-        search._advance([pair])
+    tried(search, pair)
     assert table.score(pair) <= table.score(alone) + 1.0
     assert len(asked) == (2 if worse > 1.0 else 1)
     if worse > 1.0:
@@ -230,9 +228,7 @@ def test_a_base_that_had_not_come_to_rest_is_not_freed_where_its_own_fit_leads_t
     search = begun(records(2, dry=30.0), SOME)
     base = search.identify()
     rest, best = base.fitted, one(search, "coulomb_friction")
-    search._advance([best], 99)
-    while best.open:
-        search._advance([best])
+    tried(search, best)
     own = search.table.score(base)
     left = Spectrum(1e6 * rest.left.squares, rest.left.counts)
     base.fitted, search.least = dataclasses.replace(rest, left=left, converged=False), np.inf
@@ -257,8 +253,13 @@ def test_what_promises_most_is_fitted_as_it_stands_once(monkeypatch):
     search, stood = begun(records(2, pulse=80.0), ("null_bias", "sensor_scale", "dead_time"), most=1), []
     search.identify()
     monkeypatch.setattr(search, "_promises_much", lambda entry: False)
-    real = search.jobs.whole_soon
-    monkeypatch.setattr(search.jobs, "whole_soon", lambda entry: (stood.append(entry.key), real(entry))[1])
+    real = search.fits.fit
+
+    def fit(entries, **how):
+        stood.extend(e.key for e in entries)
+        real(entries, **how)
+
+    monkeypatch.setattr(search.fits, "fit", fit)
     entries = [search.table.entry([c]) for c in search.table.candidates]
     search._looked(entries)
     search._looked(entries)
@@ -275,7 +276,7 @@ def test_to_the_best_structure_everything_is_added_that_promises_much_beside_it(
     search._looked(singles(search.jobs))
     search.jobs.effort = dataclasses.replace(search.effort, pool=1)
     rubbing = one(search, "coulomb_friction")
-    (rubbing.fitted,) = search._ran([search.jobs.anew(rubbing)])
+    tried(search, rubbing)
     shares = foreseen(search.table, search.jobs, rubbing)
     wanted = min(shares, key=lambda label: shares[label].left)
     assert {wanted, *rubbing.key} in [set(e.key) for e in larger(search.jobs, 2, search.first)]
@@ -286,9 +287,7 @@ def test_what_explains_much_is_fitted_with_what_promises_most_beside_it_before_o
     search = begun(records(3, dry=30.0, leaning=8.0), SOME, most=2)
     search.identify()
     rubbing = one(search, "coulomb_friction")
-    search._advance([rubbing], 1)
-    while rubbing.open:
-        search._advance([rubbing])
+    tried(search, rubbing)
     assert not search.table.explained() and search.table.share(rubbing) < 0.4
     search.growth.grow(search.first)
     best = min(search.table.fitted, key=search.table.score)

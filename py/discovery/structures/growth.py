@@ -13,16 +13,15 @@ from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
 from ..fits.job import Fitted, Look
-from ..fits.whole import led
 from .alternatives import batches
 from .base import SAME
 from .extent import enough_windows
 from .foreseen import beside, foreseen, promising
+from .full_fits import Fits
 from .jobs import Jobs
 from .starts import compatible
 from .table import Entry, Table
 
-AT_ONCE = 2  # fits between which it is asked whether one explains all: one that does not takes all of its seconds
 EARLY = 0.4  # of what a part of it leaves: what promises to leave less is fitted as soon as it is seen
 
 
@@ -40,6 +39,9 @@ class Growth:
     batch: int
     most: int
     grown: set = field(default_factory=set)
+
+    def __post_init__(self) -> None:
+        self.fits = Fits(self.table, self.jobs, self.run)
 
     def grow(self, first: int) -> None:
         """Fit the best structure with what promises most beside it, once, where it explains much and not all.
@@ -121,21 +123,13 @@ class Growth:
         return None
 
     def _fit_seen(self, best: Entry, seen: Sequence[Entry]) -> None:
-        """Fit those that promise most of what was seen beside the best: from their own starts, where nothing is bent.
-
-        Where none explains all, one that leaves more than it promised is fitted from where it was seen, too.
-        """
+        """Fit those that promise most of what was seen beside the best."""
         table, entries = self.table, []
         for one in sorted(seen, key=table.promise)[: self.jobs.effort.together]:
             entry = table.entry(one.members)
             entry.look = entry.look or one.look
             entries += [entry] if entry.open else []
-        for some in batches(entries, AT_ONCE):
-            self._keep(best, some, self.run([self.jobs.plain_soon(e) for e in some], led))
-            if table.explained():
-                return
-        more = [e for e in entries if not (e.fitted and table.share(e) < SAME + table.promise(e))]
-        self._keep(best, more, self.run([self.jobs.whole_soon(e) for e in more]))
+        self.fits.fit(entries, keep=lambda some, found: self._keep(best, some, found))
 
     def _to_first_order(self, best: Entry, first: int) -> None:
         """Fit what is expected to leave least beside the best, to first order from where that was fitted."""

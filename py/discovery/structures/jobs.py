@@ -73,13 +73,8 @@ class Jobs:
             if not lengths and entry.members:
                 return self.glance(entry, self.extent)
             return self.first_look(entry, min(first, lengths), limit)
-        if seen.end < lengths:
-            again = seen.end - 1  # shorter windows tell the states where longer ones begin
-            if not entry.members:
-                settings = {"stages": (again, lengths), "seconds": self.effort.seconds, "tells_courses": True}
-            else:
-                course = self.table.entry().look.courses[again]
-                settings = {"stages": (again, again + 2), "seconds": self.effort.look, "course": course}
+        if seen.end < lengths and not entry.members:  # shorter windows tell the states where longer ones begin
+            settings = {"stages": (seen.end - 1, lengths), "seconds": self.effort.seconds, "tells_courses": True}
             return self.of(entry, [seen.values], size=seen.size, **settings)
         return self.whole(entry)
 
@@ -175,10 +170,6 @@ class Jobs:
         """The fit that goes on from where it stopped."""
         known = entry.fitted
         return self.of(entry, [known.values], states=known.states, size=known.rmse)
-
-    def anew(self, entry: Entry) -> Job:
-        """The fit from its own start through windows: looks at whole recordings begin where the base was bent to."""
-        return dataclasses.replace(self.of(entry, self.starts(entry)), question=self.windows)
 
     def of(self, entry: Entry, starts: Sequence[Mapping[str, float]], **settings) -> Job:
         """The job of a structure from these starts; settings as in `Job`."""

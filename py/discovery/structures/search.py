@@ -13,13 +13,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..fits.job import Fitted, Job, Look, Question, factor
-from ..fits.whole import as_look, led, step
+from ..fits.whole import as_look, step
 from .alternatives import Alternatives, batches
 from .base import LEFT, SAME, BaseFit
 from .beginning import against_all, beginning_of, likely, shows, take_over
 from .ends import Freed, OutOfTime, Surprised
 from .extent import enough_of, telling
 from .foreseen import larger, singles
+from .full_fits import Fits
 from .growth import EARLY, Growth
 from .jobs import Effort, Jobs
 from .table import Entry, Table
@@ -39,8 +40,7 @@ class Search:
     pause : called with the search between its batches of jobs. surprises : structures that explain all in short
     windows, whose starts are free, and not in longer runs. least : nats that the best structure left from where the
     base was fitted, too. stood, twice : structures that were fitted as they stood, and that were looked at from both
-    starts. part : the search of the beginnings of long recordings, until it is done. idle : what an effect promises
-    that does nothing beside a look of the base.
+    starts. part : the search of the beginnings of long recordings, until it is done.
     """
 
     table: Table
@@ -56,12 +56,12 @@ class Search:
     stood: set = field(default_factory=set)
     twice: set = field(default_factory=set)
     part: Search | None = None
-    idle: tuple[Look | None, float] = (None, 1.0)
 
     def __post_init__(self) -> None:
         self.jobs = Jobs(self.table, self.effort)
         self.batch = self.effort.together if np.isfinite(self.until) else self.effort.batch  # then limits are seen
         self.base = BaseFit(self.table, self.jobs, self._ran)
+        self.fits = Fits(self.table, self.jobs, self._ran)
         self.growth = Growth(self.table, self.jobs, self._ran, self.batch, self.most)
         self.alternatives = Alternatives(self.table, self.jobs, self._ran, self.batch)
 
@@ -217,10 +217,10 @@ class Search:
         for batch in batches([e for e in entries if e.open and not e.look], self.effort.together):
             if self.table.explained():
                 return
-            self._advance(batch, self.first)
+            self._look(batch)
             while early := [e for e in batch if e.open and e.look and self._promises_much(e)]:
                 level = SAME + min(self.table.promise(e) for e in early)
-                self._advance([e for e in early if self.table.promise(e) < level])
+                self._fit([e for e in early if self.table.promise(e) < level])
                 if self.table.explained():
                     return
             self._fit_as_it_stands(entries)
@@ -231,24 +231,16 @@ class Search:
         return self.table.promise(entry) < EARLY * min(parts, default=1.0)
 
     def _fit_as_it_stands(self, entries: Sequence[Entry]) -> None:
-        """Fit what promises most to whole recordings: short windows may not show all that it explains.
-
-        That is soon done where it explains all. What leaves more than promised is no fit yet: longer windows may lead
-        it elsewhere.
-        """
+        """Fit what promises most, whatever that is: looks may not show all that it explains."""
         table = self.table
         best = min((e for e in entries if e.look), key=lambda e: table.promise(e, self.first), default=None)
         if not best or not best.open or best.key in self.stood:
             return
         self.stood.add(best.key)
-        (found,) = self._ran([self.jobs.whole_soon(best)])
-        best.fitted = found if isinstance(found, Fitted) else None
-        if best.fitted and table.share(best) > table.promise(best):
-            best.fitted = None
-        self._settle([best])
+        self._fit([best])
 
     def _climb(self, entries: Sequence[Entry], later: int = 0) -> None:
-        """Lead structures on through longer windows to whole recordings, always those that promise most.
+        """Fit structures, always those that promise most.
 
         Ends when one explains all, for the others are asked from there, or when what is left promises less than the
         best did and reached, or so many later.
@@ -262,36 +254,26 @@ class Search:
                 return
             level = SAME + (reached if near else table.promise(waiting[0]))
             chosen = [e for e in waiting if table.promise(e) < level][: self.effort.together]
-            self._advance(chosen)
+            self._fit(chosen, later=True)
             beyond += 0 if near else sum(not e.open for e in chosen)
 
     # -- jobs ----------------------------------------------------------------------------------------------------
-    def _advance(self, entries: Sequence[Entry], first: int = 1) -> None:
-        """Lead structures on: a new one through the ``first`` lengths of windows, then the next; after the last, fit.
+    def _look(self, entries: Sequence[Entry]) -> None:
+        """Look at structures from where the base was led or fitted; where that diverges, from where the user put it."""
+        known = [e for e in entries if self.table.usable(e)]
+        self._take(known, self._ran([self.jobs.next(e, self.first) for e in known]))
+        self._look_again([e for e in known if not e.look], self.first)
 
-        The base goes through all that are left at once. One that does worse than a part of it goes on from that.
-        """
+    def _fit(self, entries: Sequence[Entry], later: bool = False) -> None:
+        """Fit structures, and ask what that says of their parts and of the base. later : there is time for it."""
         known = [e for e in entries if e.open and self.table.usable(e)]
-        new = [e for e in known if not e.look and e.members and self.table.question.lengths]
-        self._take(known, self._ran([self.jobs.next(e, first) for e in known]))
-        idle = self._idle(first) if any(e.look for e in new) else 1.0
-        self._look_again([e for e in new if abs(self.table.promise(e) - idle) > SAME or not e.look], first)
+        self.fits.fit(known, later=later)
         self._settle(known)
-
-    def _idle(self, first: int) -> float:
-        """What an effect promises that does nothing: the base, too, goes on a little from where its windows led it."""
-        base, end = self.table.entry(), min(first, len(self.table.question.lengths))
-        if self.idle[0] is not base.look:
-            (found,) = self._ran([self.jobs.first_look(base, end, self.effort.look)])
-            own = Entry((), look=found) if isinstance(found, Look) else base
-            self.idle = base.look, self.table.promise(own)
-        return self.idle[1]
 
     def _look_again(self, entries: Sequence[Entry], first: int) -> None:
         """Look at structures in windows from where the user put them, too: a bent base may hide what they lack.
 
-        What does nothing beside the base waits until nothing else explains all. Of two minima that do that one counts
-        which is near to what is known.
+        Of two minima that explain all that one counts which is near to what is known.
         """
         for batch in batches([e for e in entries if e.key not in self.twice], self.batch):
             self.twice.update(e.key for e in batch)
@@ -304,9 +286,6 @@ class Search:
 
     def _settle(self, known: Sequence[Entry]) -> None:
         """Fit again what may have come to rest beside its minimum, and ask what that says of the base."""
-        bent = [e for e in known if e.fitted and e.members and self.jobs.windows and not self.table.explained()]
-        for entry, found in zip(bent, self._ran([self.jobs.anew(e) for e in bent], led), strict=True):
-            self.table.keep_better(entry, found)
         self._free_base(known)
         worse = [(e, part) for e in known if e.fitted and (part := self.table.better_part(e))]
         if self.table.explained():  # by something else: they are asked from there, see `Alternatives`

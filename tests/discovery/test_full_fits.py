@@ -1,0 +1,74 @@
+"""Where fits begin: from the user's start through windows, and from where looks led, in turns until one is enough."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.discovery.slides import begun, records
+from tests.discovery.test_beside import filled
+from tests.discovery.test_table import leaving
+
+BOTH = ("coulomb_friction", "null_bias")
+PLAIN, ON = "led", "step"
+
+
+@pytest.fixture
+def search():
+    """A search whose fits leave what ``left`` says, by the way in which they begin; what was asked is in ``asked``."""
+    found = begun(records(3, dry=30.0), BOTH)
+    found.identify()
+    entries = [found.table.entry([c]) for c in found.table.candidates]
+    found._look(entries)
+    asked, left = [], {PLAIN: 50.0, ON: 50.0}
+
+    def run(jobs, function=None):
+        way = function.__name__ if function else ON
+        asked.extend((way, job.label.split()[0]) for job in jobs)
+        return [leaving(left[way]) for _ in jobs]
+
+    found.fits.run, found.asked, found.left, found.ours = run, asked, left, entries
+    return found
+
+
+def test_a_fit_begins_where_its_user_put_it_and_where_its_look_led_only_if_that_leaves_more_than_promised(
+    search, monkeypatch
+):
+    promised = {"coulomb_friction": 1.0, "null_bias": 0.0}
+    monkeypatch.setattr(search.table, "promise", lambda e, most=None: promised[e.members[0].id])
+    monkeypatch.setattr(search.table, "share", lambda e: 0.5)
+    search.fits.fit(search.ours)
+    plain = [(PLAIN, "coulomb_friction"), (PLAIN, "null_bias")]
+    assert sorted(search.asked[:2]) == plain and search.asked[2:] == [(ON, "null_bias")]
+
+
+def test_looks_at_whole_recordings_are_gone_on_with_first(search, monkeypatch):
+    search._to_whole_recordings()
+    search._look(search.ours)
+    search.asked.clear()
+    monkeypatch.setattr(search.table, "promise", lambda e, most=None: 0.0)
+    search.fits.fit(search.ours)
+    assert [way for way, _ in search.asked] == [ON, ON, PLAIN, PLAIN]
+
+
+def test_nothing_more_is_fitted_where_one_explains_all(search):
+    search.left[PLAIN] = 1.0
+    search.fits.fit(search.ours)
+    assert [way for way, _ in search.asked] == [PLAIN, PLAIN]
+
+
+def test_what_has_no_windows_is_fitted_from_where_its_look_led(search, monkeypatch):
+    monkeypatch.setattr(search.table, "promise", lambda e, most=None: 0.0)
+    search._to_whole_recordings()
+    search.jobs.windows = None
+    search._look(search.ours)
+    search.asked.clear()
+    search.fits.fit(search.ours)
+    assert {way for way, _ in search.asked} == {ON}
+
+
+def test_a_fit_that_leaves_more_is_not_kept():
+    search = filled(base=100.0, coulomb_friction=10.0)
+    [friction] = [e for e in search.table.fitted if e.members]
+    before = friction.fitted
+    search.fits._keep([friction], [leaving(40.0)])
+    assert friction.fitted is before

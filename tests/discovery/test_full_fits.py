@@ -72,3 +72,14 @@ def test_a_fit_that_leaves_more_is_not_kept():
     before = friction.fitted
     search.fits._keep([friction], [leaving(40.0)])
     assert friction.fitted is before
+
+
+def test_what_was_never_looked_at_is_looked_at_before_its_fit():
+    """A structure without a look and without windows stayed open, and the search would never have ended."""
+    search = begun(records(3, dry=30.0), BOTH)
+    search.identify()
+    search._to_whole_recordings()
+    search.jobs.windows = None
+    friction = search.table.entry([c for c in search.table.candidates if c.id == "coulomb_friction"])
+    search._fit([friction])
+    assert friction.look and friction.fitted

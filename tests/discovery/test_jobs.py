@@ -51,7 +51,7 @@ def test_of_looks_from_a_bent_base_and_from_the_users_start_the_better_one_count
     monkeypatch.setattr(search, "_ran", run)
     monkeypatch.setattr(search.table, "promise", lambda e, most=None: looks[id(e.look)] if e.look else 1.0)
     search._look([entry])
-    search._look_again([entry], 1)
+    search._look_again([entry])
     assert looks[id(entry.look)] == again
 
 

@@ -241,7 +241,7 @@ def test_what_windows_show_in_part_is_fitted_before_pairs_are_made_of_it(monkeyp
     """Load-dependent flow promised a quarter in short windows and explained all of whole recordings."""
     search, pairs = begun(records(3, dry=200.0), SOME[:3], most=2), []
     search.identify()
-    monkeypatch.setattr(search_module, "larger", lambda jobs, size, first: pairs.append(size) or [])
+    monkeypatch.setattr(search_module, "larger", lambda jobs, size: pairs.append(size) or [])
     monkeypatch.setattr(search, "_promises_much", lambda entry: False)
     search._through(2)
     assert one(search, "coulomb_friction").fitted and search.table.explained() and not pairs
@@ -264,7 +264,7 @@ def test_what_promises_most_is_fitted_as_it_stands_once(monkeypatch):
     search._looked(entries)
     search._looked(entries)
     assert len(stood) == len(set(stood)) >= 1
-    lowest = min(entries, key=lambda e: search.table.promise(e, search.first))
+    lowest = min(entries, key=lambda e: search.table.promise(e))
     assert lowest.key in stood
 
 
@@ -279,7 +279,7 @@ def test_to_the_best_structure_everything_is_added_that_promises_much_beside_it(
     tried(search, rubbing)
     shares = foreseen(search.table, search.jobs, rubbing)
     wanted = min(shares, key=lambda label: shares[label].left)
-    assert {wanted, *rubbing.key} in [set(e.key) for e in larger(search.jobs, 2, search.first)]
+    assert {wanted, *rubbing.key} in [set(e.key) for e in larger(search.jobs, 2)]
 
 
 def test_what_explains_much_is_fitted_with_what_promises_most_beside_it_before_others_are_looked_at():

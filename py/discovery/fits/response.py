@@ -26,6 +26,7 @@ from scipy.linalg import expm
 from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel
 from hydrotwin.simulation import equations, inputs
+from hydrotwin.simulation.columns import by_columns
 
 Response = list[tuple[np.ndarray, np.ndarray]]  # df (n - 1, nx, k), dh (n, ny, k) by stretch
 
@@ -104,10 +105,10 @@ class Responses:
         """Rates of the states along the runs, 0 of those that a model lacks, and outputs, by sets of its parameters."""
         own, along = ([s.name for s in each.states] for each in (flat, self.flat))
         known = [i for i, name in enumerate(along) if name in own]
-        found = []
+        found, parts = [], _apart(flat)
         for stretch in self.stretches:
             part = dataclasses.replace(stretch, x=stretch.x[..., known])
-            rates, outputs = _excited(flat, [own.index(along[i]) for i in known], part, sets)
+            rates, outputs = _excited(flat, parts, [own.index(along[i]) for i in known], part, sets)
             whole = np.zeros((len(rates), len(along), len(sets)))
             whole[:, known] = rates
             found.append((whole, outputs))
@@ -231,21 +232,32 @@ def _by_sample(value: ca.DM, n: int) -> np.ndarray:
     return value.reshape(len(value), n, -1).transpose(1, 0, 2)
 
 
-def _excited(flat: FlatModel, place: Sequence[int], s: Stretch, sets: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rates (m, nx, k) of the base's states, outputs (m, ny, k), along a stretch with k sets of parameters."""
+def _excited(
+    flat: FlatModel, parts: Sequence[Callable], place: Sequence[int], s: Stretch, sets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Rates (m, nx, k) of the base's states, outputs (m, ny, k), along a stretch with k sets of parameters.
+
+    parts : of the model, see `_apart`.
+    """
     begin, end, between = s.intervals
-    middle, means = 0.5 * (begin + end), np.stack([_means(flat, p, s) for p in sets])
+    middle, means = 0.5 * (begin + end), np.stack(_by_set(_means, flat, s, sets))
     x = np.empty((len(sets), 2, len(begin), len(flat.states)))
     x[:, 0][..., place], x[:, 1][..., place] = s.samples[1], between
     further = [i for i in range(len(flat.states)) if i not in place]
     if further:
         z = _followed(flat, place, further, s, sets, means)
         x[:, 0][..., further], x[:, 1][..., further] = z[:, :-1], 0.5 * (z[:, 1:] + z[:, :-1])
-    rates, outputs = [], []
-    for (samples, middles), u, p in zip(x, means, sets, strict=True):
-        rates.append(flat.ode(middle[None, :], middles.T, u.T, p)[0].full().T[:, place])
-        outputs.append(flat.ode(begin[None, :], samples.T, _behind(flat, p, s).T, p)[1].full().T)
+    (rates_of, outputs_of), rates, outputs = parts, [], []
+    for (samples, middles), u, v, p in zip(x, means, _by_set(_behind, flat, s, sets), sets, strict=True):
+        rates.append(rates_of(middle[None, :], middles.T, u.T, p)[0].T[:, place])
+        outputs.append(outputs_of(begin[None, :], samples.T, v.T, p)[0].T)
     return np.stack(rates, axis=-1), np.stack(outputs, axis=-1)
+
+
+def _apart(flat: FlatModel) -> list[Callable]:
+    """``(t, x, u, p)`` to rates, and to outputs."""
+    arguments = equations.symbols(flat)
+    return [by_columns(ca.Function("part", arguments, [value])) for value in flat.ode(*arguments)[:2]]
 
 
 def _followed(flat: FlatModel, place, further, s: Stretch, sets: np.ndarray, means: np.ndarray) -> np.ndarray:
@@ -269,6 +281,13 @@ def _one_step(flat: FlatModel, place: list[int], further: list[int]) -> ca.Funct
     change = ca.solve(ca.SX.eye(len(further)) - h * ca.densify(ca.jacobian(rate, x[further])), h * rate)
     known, z = ca.vertcat(t, h, x[place], u), x[further]
     return ca.Function("step", [z, known, p], [ca.densify(z + change)])
+
+
+def _by_set(inputs_of: Callable, flat: FlatModel, s: Stretch, sets: np.ndarray) -> list[np.ndarray]:
+    """Inputs along a stretch for every set of parameters, which differ by delays alone."""
+    late = [tuple(_late(flat, p)) for p in sets]
+    found = {key: inputs_of(flat, p, s) for key, p in dict(zip(late, sets, strict=True)).items()}
+    return [found[key] for key in late]
 
 
 def _means(flat: FlatModel, p: np.ndarray, s: Stretch) -> np.ndarray:

@@ -27,7 +27,7 @@ def beginning_of(search: Search) -> Search | None:
     own = Table(table.base, table.free, table.candidates, question, table.coloured, table.told)
     # the best so far is told of all recordings
     pause = search.pause and (lambda _: search.pause(search))
-    return dataclasses.replace(search, table=own, pause=pause, surprises=[], stood=set(), twice=set())
+    return dataclasses.replace(search, table=own, pause=pause, surprises=[], twice=set())
 
 
 def shows(part: Table, whole: Table) -> bool:

@@ -55,22 +55,19 @@ def singles(jobs: Jobs) -> list[Entry]:
     return [table.entry([c]) for c in sorted(table.candidates, key=lambda c: left.get(c.label, 1.0))]
 
 
-def larger(jobs: Jobs, size: int, first: int) -> list[Entry]:
-    """The best structures of one effect less with one more each, and pairs of the most promising effects.
-
-    first : how many lengths of windows count.
-    """
-    table, pool = jobs.table, promising(jobs.table, first)[: jobs.effort.pool]
+def larger(jobs: Jobs, size: int) -> list[Entry]:
+    """The best structures of one effect less with one more each, and pairs of the most promising effects."""
+    table, pool = jobs.table, promising(jobs.table)[: jobs.effort.pool]
     known = [e for e in table.entries.values() if len(e.key) == size - 1 and not e.failed]
-    best = sorted(known, key=lambda e: _worth(table, e, first))[:GROWN]
-    groups = [(*e.members, c) for e in best for c in beside(jobs, e, first, len(pool))]
+    best = sorted(known, key=lambda e: _worth(table, e))[:GROWN]
+    groups = [(*e.members, c) for e in best for c in beside(jobs, e, len(pool))]
     if size == 2:
         pairs = itertools.combinations(pool, 2)
         groups += sorted(pairs, key=lambda pair: pool.index(pair[0]) + pool.index(pair[1]))
     return list({e.key: e for e in map(table.entry, filter(compatible, groups))}.values())
 
 
-def beside(jobs: Jobs, known: Entry, first: int, count: int) -> list[Candidate]:
+def beside(jobs: Jobs, known: Entry, count: int) -> list[Candidate]:
     """So many effects that may be missing beside a structure, the most promising first.
 
     To first order from where it was fitted: alone an effect may promise nothing, for the base is bent by what the
@@ -78,20 +75,20 @@ def beside(jobs: Jobs, known: Entry, first: int, count: int) -> list[Candidate]:
     """
     table = jobs.table
     left = {label: one.left for label, one in foreseen(table, jobs, known).items()} if known.fitted else {}
-    more = [c for c in table.candidates if c.label in left] if left else promising(table, first)
+    more = [c for c in table.candidates if c.label in left] if left else promising(table)
     more = sorted(more, key=lambda c: left.get(c.label, 0.0))[:count]
     return [c for c in more if c not in known.members]
 
 
-def promising(table: Table, first: int) -> list[Candidate]:
+def promising(table: Table) -> list[Candidate]:
     """Single effects, the most promising first; of what was not looked at nothing is known."""
     alone = [table.entries.get((c.label,), table.possible([c])) for c in table.candidates]
-    return [e.members[0] for e in sorted(alone, key=lambda e: _worth(table, e, first)) if not e.failed]
+    return [e.members[0] for e in sorted(alone, key=lambda e: _worth(table, e)) if not e.failed]
 
 
-def _worth(table: Table, e: Entry, first: int) -> float:
+def _worth(table: Table, e: Entry) -> float:
     """Share of what the base leaves that a structure leaves, or promises to."""
-    return min(table.promise(e, first), table.share(e) if e.fitted else np.inf)
+    return min(table.promise(e), table.share(e) if e.fitted else np.inf)
 
 
 def _foreseen(table: Table, jobs: Jobs, known: Entry, others: Sequence[Candidate]) -> dict[str, Foreseen]:

@@ -49,7 +49,7 @@ class Growth:
         What a fit leaves that has not come to its end says little of that: it goes on first. first : how many lengths
         of windows looks go through; 0: whole recordings.
         """
-        best = self._best(first)
+        best = self._best(bool(first))
         if not best or len(best.key) >= self.most or best.key in self.grown:
             return
         self.grown.add(best.key)
@@ -57,17 +57,17 @@ class Growth:
             self.table.keep_better(best, self.run([self.jobs.further(best)])[0])
         if self.table.explained() or (first and self._in_windows(best, first)):
             return
-        self._to_first_order(best, first)
+        self._to_first_order(best)
 
-    def _best(self, first: int) -> Entry | None:
+    def _best(self, windows: bool) -> Entry | None:
         """The structure whose fit leaves least; where none leaves little, that which promises least in windows."""
         table = self.table
         fits = min((e for e in table.fitted if e.members), key=table.score, default=None)
         if fits and table.share(fits) <= EARLY:
             return fits
-        seen = [e for e in table.entries.values() if first and e.members and e.look and not e.failed]
-        best = min(seen, key=lambda e: table.promise(e, first), default=None)
-        return best if best and table.promise(best, first) <= EARLY else None
+        seen = [e for e in table.entries.values() if windows and e.members and e.look and not e.failed]
+        best = min(seen, key=lambda e: table.promise(e), default=None)
+        return best if best and table.promise(best) <= EARLY else None
 
     def _in_windows(self, best: Entry, first: int) -> bool:
         """Fit what leaves clearly less beside the best in windows along the best's own course; whether anything does.
@@ -81,7 +81,7 @@ class Growth:
         level = enough = EARLY * table.promise(Entry(best.members, look=along))
         windows = enough_windows(table, along)
         found, fitted = [], []
-        others = [table.possible((*best.members, c)) for c in self._order(best, first)]
+        others = [table.possible((*best.members, c)) for c in self._order(best)]
         for together in batches([e for e in others if compatible(e.members)], self.batch):
             batch = [e for e in together if table.usable(e)]
             for entry, look in zip(batch, self.run([jobs.grown(e, best, along, windows) for e in batch]), strict=True):
@@ -99,12 +99,12 @@ class Growth:
         self._fit_seen(best, [e for e in found if e not in fitted])
         return bool(found)
 
-    def _order(self, best: Entry, first: int) -> list[Candidate]:
+    def _order(self, best: Entry) -> list[Candidate]:
         """Effects in the order in which they join the best: first what promises most alone or to first order beside it.
 
         What the best hides promises nothing alone; where the best is bent, first order from there tells little.
         """
-        alone = [c for c in promising(self.table, first) if c not in best.members]
+        alone = [c for c in promising(self.table) if c not in best.members]
         left = foreseen(self.table, self.jobs, best) if best.fitted else {}
         known = sorted((c for c in alone if c.label in left), key=lambda c: left[c.label].left)
         return list({c.label: c for pair in itertools.zip_longest(known, alone) for c in pair if c}.values())
@@ -131,11 +131,11 @@ class Growth:
             entries += [entry] if entry.open else []
         self.fits.fit(entries, keep=lambda some, found: self._keep(best, some, found))
 
-    def _to_first_order(self, best: Entry, first: int) -> None:
+    def _to_first_order(self, best: Entry) -> None:
         """Fit what is expected to leave least beside the best, to first order from where that was fitted."""
         if not (best.fitted and best.fitted.converged):
             return
-        more = beside(self.jobs, best, first, self.jobs.effort.together)
+        more = beside(self.jobs, best, self.jobs.effort.together)
         entries = [self.table.entry(m) for c in more if compatible(m := (*best.members, c))]
         entries = [e for e in entries if e.open and self.table.usable(e)]
         self._keep(best, entries, self.run([self.jobs.from_there(e, best) for e in entries]))

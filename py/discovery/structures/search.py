@@ -39,8 +39,8 @@ class Search:
     first : how many lengths of windows a first look goes through; 0: whole recordings, or a part of them.
     pause : called with the search between its batches of jobs. surprises : structures that explain all in short
     windows, whose starts are free, and not in longer runs. least : nats that the best structure left from where the
-    base was fitted, too. stood, twice : structures that were fitted as they stood, and that were looked at from both
-    starts. part : the search of the beginnings of long recordings, until it is done.
+    base was fitted, too. twice : structures that were looked at from both starts. part : the search of the beginnings
+    of long recordings, until it is done.
     """
 
     table: Table
@@ -53,7 +53,6 @@ class Search:
     pause: Callable[[Search], None] | None = None
     surprises: list[Entry] = field(default_factory=list)
     least: float = np.inf
-    stood: set = field(default_factory=set)
     twice: set = field(default_factory=set)
     part: Search | None = None
 
@@ -136,14 +135,14 @@ class Search:
         """Go through structures of up to ``most`` effects until one explains all: those that promise much."""
         table, seen = self.table, []
         for size in range(1, min(most, len(table.candidates)) + 1):
-            entries = singles(self.jobs) if size == 1 else larger(self.jobs, size, self.first)
+            entries = singles(self.jobs) if size == 1 else larger(self.jobs, size)
             self._looked(entries)
             if not self.first:
                 self._climb(entries)
             elif size == 1 and not table.explained():
                 self.growth.grow(self.first)
                 if not table.explained():
-                    self._look_again([e for e in entries if e.open and e.look], self.first)
+                    self._look_again([e for e in entries if e.open and e.look])
             seen += entries
             if self.table.explained():
                 break
@@ -233,11 +232,9 @@ class Search:
     def _fit_as_it_stands(self, entries: Sequence[Entry]) -> None:
         """Fit what promises most, whatever that is: looks may not show all that it explains."""
         table = self.table
-        best = min((e for e in entries if e.look), key=lambda e: table.promise(e, self.first), default=None)
-        if not best or not best.open or best.key in self.stood:
-            return
-        self.stood.add(best.key)
-        self._fit([best])
+        best = min((e for e in entries if e.look), key=table.promise, default=None)
+        if best and best.open:
+            self._fit([best])
 
     def _climb(self, entries: Sequence[Entry], later: int = 0) -> None:
         """Fit structures, always those that promise most.
@@ -262,22 +259,24 @@ class Search:
         """Look at structures from where the base was led or fitted; where that diverges, from where the user put it."""
         known = [e for e in entries if self.table.usable(e)]
         self._take(known, self._ran([self.jobs.next(e, self.first) for e in known]))
-        self._look_again([e for e in known if not e.look], self.first)
+        self._look_again([e for e in known if not e.look])
 
     def _fit(self, entries: Sequence[Entry], later: bool = False) -> None:
         """Fit structures, and ask what that says of their parts and of the base. later : there is time for it."""
         known = [e for e in entries if e.open and self.table.usable(e)]
+        self._look([e for e in known if not e.look])
+        known = [e for e in known if e.open]
         self.fits.fit(known, later=later)
         self._settle(known)
 
-    def _look_again(self, entries: Sequence[Entry], first: int) -> None:
+    def _look_again(self, entries: Sequence[Entry]) -> None:
         """Look at structures in windows from where the user put them, too: a bent base may hide what they lack.
 
         Of two minima that explain all that one counts which is near to what is known.
         """
         for batch in batches([e for e in entries if e.key not in self.twice], self.batch):
             self.twice.update(e.key for e in batch)
-            looks = self._ran([self.jobs.from_its_start(e, first) for e in batch])
+            looks = self._ran([self.jobs.from_its_start(e, self.first) for e in batch])
             for e, found in zip(batch, looks, strict=True):
                 before, enough = e.look, max(self.table.promise(e), SAME)
                 if isinstance(found, Look):

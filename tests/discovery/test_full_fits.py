@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from tests.discovery.slides import begun, records
+from hydrotwin.discovery.answer import answering
+from hydrotwin.discovery.structures import search as search_module
+from hydrotwin.discovery.structures.extent import beginnings
+from tests.discovery.slides import begun, found, records
 from tests.discovery.test_beside import filled
 from tests.discovery.test_table import leaving
 
@@ -15,10 +18,10 @@ PLAIN, ON = "led", "step"
 @pytest.fixture
 def search():
     """A search whose fits leave what ``left`` says, by the way in which they begin; what was asked is in ``asked``."""
-    found = begun(records(3, dry=30.0), BOTH)
-    found.identify()
-    entries = [found.table.entry([c]) for c in found.table.candidates]
-    found._look(entries)
+    begins = begun(records(3, dry=30.0), BOTH)
+    begins.identify()
+    entries = [begins.table.entry([c]) for c in begins.table.candidates]
+    begins._look(entries)
     asked, left = [], {PLAIN: 50.0, ON: 50.0}
 
     def run(jobs, function=None):
@@ -26,8 +29,8 @@ def search():
         asked.extend((way, job.label.split()[0]) for job in jobs)
         return [leaving(left[way]) for _ in jobs]
 
-    found.fits.run, found.asked, found.left, found.ours = run, asked, left, entries
-    return found
+    begins.fits.run, begins.asked, begins.left, begins.ours = run, asked, left, entries
+    return begins
 
 
 def test_a_fit_begins_where_its_user_put_it_and_where_its_look_led_only_if_that_leaves_more_than_promised(
@@ -36,9 +39,21 @@ def test_a_fit_begins_where_its_user_put_it_and_where_its_look_led_only_if_that_
     promised = {"coulomb_friction": 1.0, "null_bias": 0.0}
     monkeypatch.setattr(search.table, "promise", lambda e, most=None: promised[e.members[0].id])
     monkeypatch.setattr(search.table, "share", lambda e: 0.5)
+    monkeypatch.setattr(search.table, "score", lambda e: 10.0 if e.key and "null_bias" in e.key[0] else 20.0)
+    monkeypatch.setattr(search.table, "explained", lambda by=(): False)
     search.fits.fit(search.ours)
     plain = [(PLAIN, "coulomb_friction"), (PLAIN, "null_bias")]
     assert sorted(search.asked[:2]) == plain and search.asked[2:] == [(ON, "null_bias")]
+
+
+def test_what_left_least_is_fitted_from_where_its_look_led_too(search, monkeypatch):
+    """All else builds on it: a lag had been taken for the slow pole of its machine."""
+    monkeypatch.setattr(search.table, "promise", lambda e, most=None: 1.0)
+    monkeypatch.setattr(search.table, "share", lambda e: 0.5)
+    monkeypatch.setattr(search.table, "score", lambda e: 10.0 if e.key and "coulomb" in e.key[0] else 20.0)
+    monkeypatch.setattr(search.table, "explained", lambda by=(): False)
+    search.fits.fit(search.ours)
+    assert search.asked[2:] == [(ON, "coulomb_friction")]
 
 
 def test_looks_at_whole_recordings_are_gone_on_with_first(search, monkeypatch):
@@ -83,3 +98,23 @@ def test_what_was_never_looked_at_is_looked_at_before_its_fit():
     friction = search.table.entry([c for c in search.table.candidates if c.id == "coulomb_friction"])
     search._fit([friction])
     assert friction.look and friction.fitted
+
+
+@pytest.mark.parametrize(("dry", "iterations"), [(30.0, [0, 15]), (0.0, [15])])
+def test_a_base_that_is_not_kept_is_told_where_it_stands(dry, iterations, monkeypatch):
+    """Its last fit had taken 75 s: while something is missing it has no minimum that anybody asks for."""
+    asked, real = [], answering.conclude
+    monkeypatch.setattr(answering, "conclude", lambda job: asked.append(job.iterations) or real(job))
+    answer = found(records(3, dry=dry), BOTH)
+    assert [s.effect for s in answer.steps] == ["coulomb_friction"] * (dry > 0) and sorted(asked) == iterations
+
+
+def test_what_shows_nothing_in_a_part_of_the_recordings_is_looked_at_in_all_of_them(monkeypatch):
+    search = begun(records(3, dry=30.0), BOTH)
+    search.identify()
+    search._to_whole_recordings()
+    search.jobs.extent = beginnings(search.table.question, 0.25)
+    friction, bias = (search.table.entry([c]) for c in search.table.candidates)
+    monkeypatch.setattr(search_module, "testable", lambda known, c: c.id != "null_bias")
+    search._look([friction, bias])
+    assert not friction.look.sigmas and bias.look.sigmas

@@ -110,8 +110,6 @@ def test_what_first_order_expects_beside_the_best_is_looked_at_as_early_as_what_
         c.label: Foreseen(next(v for n, v in known.items() if n in c.label), {}) for c in table.candidates
         if c not in best.members})  # fmt: skip
     alone = ("null_bias", "dead_time", "viscous_friction", "coulomb_friction")
-    monkeypatch.setattr(
-        growing, "promising", lambda table, first: sorted(table.candidates, key=lambda c: alone.index(c.id))
-    )
+    monkeypatch.setattr(growing, "promising", lambda table: sorted(table.candidates, key=lambda c: alone.index(c.id)))
     _, asked = grown({}, batch=1)
     assert [name for what, name in steps(asked) if what == "look"] == ["viscous", "null", "dead"]

@@ -21,14 +21,16 @@ from ..diagnosis.regions import regions
 from ..diagnosis.unknown import describe_unknown
 from ..evidence.deciding import DECIDING
 from ..evidence.gaps import CLEARLY, LARGE, gap_closed, has_gap, pooled_rmse
+from ..fits.job import Job
 from ..fits.whole import Concluded, conclude, judged
 from ..recordings import Split
+from ..structures.extent import testable
 from ..structures.search import Search
 from ..structures.table import Entry
 from .discovery import Discovery, Ranked, Rung, Shift
 from .discovery import Step as NamedStep
 from .findings import findings_of, reason_of
-from .rows import concluded_values, rows_of, testable
+from .rows import concluded_values, rows_of
 from .standing import Standing, closed, standing
 from .view import View
 
@@ -106,7 +108,10 @@ def answer(search: Search, data: Split, model: Model) -> Discovery:
 
 # -- final fits --------------------------------------------------------------------------------------------------------
 def _finals(search: Search, data: Split, said: Standing) -> Finals:
-    """The structures that are told, fitted once more with intervals, and run on the recordings that judge."""
+    """The structures that are told, fitted once more with intervals, and run on the recordings that judge.
+
+    A base that is not kept is told where it stands: it has no minimum worth the time while something is missing.
+    """
     table, kept = search.table, said.kept
     base, needed = table.entry(), {}
     if kept.members:
@@ -137,16 +142,17 @@ def _without_one(search: Search, data: Split, kept: Entry) -> dict[str, Sequence
 def _answers(search: Search, data: Split, function: Callable, entries: Mapping[str, Entry]) -> dict:
     """What a function answers of structures that were fitted, from where they stand."""
     fitted = {name: e for name, e in entries.items() if e.fitted}
-    answers = search.run(function, [_last(search, data, e) for e in fitted.values()], "final fit")
+    jobs = [_last(search, data, e, rest=bool(name) or len(fitted) == 1) for name, e in fitted.items()]
+    answers = search.run(function, jobs, "final fit")
     return dict(zip(fitted, answers, strict=True))
 
 
-def _last(search: Search, data: Split, entry: Entry):
-    """The last fit of a structure, from where it stands."""
+def _last(search: Search, data: Split, entry: Entry, rest: bool = True) -> Job:
+    """The last fit of a structure, from where it stands. rest : to where it comes to rest."""
     fitted = entry.fitted
     question = dataclasses.replace(search.table.question, noise=search.table.noise, select=data.report)
     job = search.jobs.of(entry, [fitted.values], states=fitted.states, size=fitted.rmse)
-    return dataclasses.replace(job, question=question)
+    return dataclasses.replace(job, question=question, iterations=job.iterations if rest else 0)
 
 
 def _of_fit(after: Concluded, verdict: str) -> list[str]:
@@ -253,7 +259,7 @@ def _not_testable(said: Standing) -> tuple[Ranked, ...]:
     found = []
     for c in said.table.candidates:
         entry = said.table.entries.get((c.label,))
-        if entry and not entry.failed and not testable(entry, c) and entry is not said.kept:
+        if entry and not entry.failed and not testable(entry.fitted or entry.look, c) and entry is not said.kept:
             nan, why = float("nan"), "it would not show in these recordings, whatever its size"
             found.append(
                 Ranked(c.id, c.site.name, c.effect.title, c.effect.equation, 0.0, nan, nan, 0.0, "not testable", why)

@@ -10,8 +10,8 @@ from hydrotwin.identification.problem import Recording
 from hydrotwin.models.language.flat import FlatModel
 
 from ..recordings import Split
+from ..structures.extent import testable
 from ..structures.search import Search
-from .rows import testable
 from .standing import Standing, closed
 from .words import capitalised, joined, lowered, percent
 
@@ -78,7 +78,7 @@ def findings_of(search: Search, said: Standing, doubts: Iterable[str]) -> list[s
         for c, e in alone
         if e and e.failed
     ]
-    tested = [c for c, e in alone if e and not e.failed and testable(e, c)]
+    tested = [c for c, e in alone if e and not e.failed and testable(e.fitted or e.look, c)]
     if said.verdict != "none" and not tested:
         found.append(
             "gap: none of the effects could be seen in these recordings, whatever its size. Record faster and larger "

@@ -11,12 +11,12 @@ from hydrotwin.models.effects import Candidate
 
 from ..evidence.deciding import DECIDING
 from ..fits.whole import Concluded
+from ..structures.extent import testable
 from ..structures.table import Entry, Table
 from .discovery import EffectParameter, Ranked
 from .standing import Standing, closed
 
 SHOWN = 12  # candidates of a step in the answer that were not fitted
-UNSEEN = 1e3  # times the most that is usual: what is known no better shows in nothing but rounding
 NO_BETTER = "leaves more than what is told, or no less for more parameters"
 
 
@@ -76,7 +76,7 @@ def _fate(table: Table, entry: Entry, c: Candidate, named: Candidate | None, mem
         return "in class", "explains the recordings as well"
     if entry.failed:
         return "cannot be added", entry.failed
-    if not testable(entry, c):
+    if not testable(entry.fitted or entry.look, c):
         return "not testable", "it would not show in these recordings, whatever its size"
     if not entry.fitted and entry.foreseen:
         return (
@@ -91,18 +91,6 @@ def _fate(table: Table, entry: Entry, c: Candidate, named: Candidate | None, mem
     if not entry.fitted:
         return "not fitted", "in short windows it promises less than what was fitted" if entry.look else "not looked at"
     return "rejected", NO_BETTER
-
-
-def testable(entry: Entry, c: Candidate) -> bool:
-    """Whether anything moves in the recordings that were looked at when its parameters do."""
-    if entry.look is None or not entry.look.sigmas or not c.free:
-        return True
-    return any(entry.look.sigmas.get(n, np.inf) < UNSEEN * _most(c, n) for n in c.free)
-
-
-def _most(c: Candidate, name: str) -> float:
-    """The most that a parameter of an effect usually moves; infinite where nothing is usual."""
-    return float(np.max(np.abs(np.subtract(c.typical.get(name, np.inf), c.neutral.get(name, 0.0)))))
 
 
 def _share(table: Table, entry: Entry) -> float:

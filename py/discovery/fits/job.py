@@ -141,7 +141,8 @@ class Look:
 class Fitted:
     """A structure fitted to whole recordings.
 
-    values : free parameters by path; states : start states by name and recording; left : what it leaves.
+    values : free parameters by path; states : start states by name and recording; left : what it leaves. sigmas : of
+    the values, by path, infinite where nothing shows.
     """
 
     values: Mapping[str, float]
@@ -151,6 +152,7 @@ class Fitted:
     converged: bool
     iterations: int
     seconds: float = 0.0
+    sigmas: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def rmse(self) -> np.ndarray:

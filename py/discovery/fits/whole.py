@@ -81,17 +81,15 @@ def glance(job: Job) -> Look | str:
         runs = residuals_of(task, found)
     except SolveError as error:
         return str(error)
-    known_to = dict(zip(task.free.names, sigmas(found, task.free), strict=True))
-    return dataclasses.replace(
-        as_look(concluded(task, found, runs)), sigmas=known_to, seconds=time.perf_counter() - began
-    )
+    return dataclasses.replace(as_look(concluded(task, found, runs)), seconds=time.perf_counter() - began)
 
 
 def as_look(fitted: Fitted) -> Look:
     """A fit to whole recordings as a look at them."""
     left = fitted.left
     squares, counts = left.squares.sum(axis=0)[None], left.counts.sum(axis=0)[None]
-    return Look(fitted.values, squares, counts, left.rmse, fitted.states, left=left, seconds=fitted.seconds)
+    more = {"left": left, "sigmas": fitted.sigmas, "seconds": fitted.seconds}
+    return Look(fitted.values, squares, counts, left.rmse, fitted.states, **more)
 
 
 def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
@@ -273,6 +271,7 @@ def concluded(task: Task, found: Minimum, left: Sequence[np.ndarray]) -> Fitted:
         at_bound=tuple(n for n, at in zip(free.names, bound, strict=True) if at),
         converged=found.converged,
         iterations=found.iterations,
+        sigmas=dict(zip(free.names, sigmas(found, free), strict=True)),
     )
 
 

@@ -7,10 +7,12 @@ from collections.abc import Callable
 
 import numpy as np
 
+from hydrotwin.models.effects import Candidate
+
 from ..evidence.deciding import DECIDING
 from ..evidence.posterior import NOTHING
 from ..evidence.score import score
-from ..fits.job import WINDOWS, Look, Question
+from ..fits.job import WINDOWS, Fitted, Look, Question
 from .table import Table
 
 SHORT = 2  # lengths of windows in which a large gap shows
@@ -20,7 +22,20 @@ LONG = 15000  # samples of all recordings from which on a look goes through no m
 MANY = 9000  # samples of all recordings from which on their beginnings are searched first
 BRIEF = 5000  # samples of those beginnings
 PARTS = (1 / 32, 1 / 16, 1 / 8, 1 / 4, 1 / 2)  # of every recording, from its beginning, that may do for a look
+UNSEEN = 1e3  # times the most that is usual: what is known no better shows in nothing but rounding
 FAIR = 0.5  # of the gap in all recordings, in proportion: what acts later than in such a part is looked for in all
+
+
+def testable(known: Look | Fitted | None, c: Candidate) -> bool:
+    """Whether anything moves in the recordings of a look or fit when the parameters of an effect do."""
+    if known is None or not known.sigmas or not c.free:
+        return True
+    return any(known.sigmas.get(n, np.inf) < UNSEEN * _most(c, n) for n in c.free)
+
+
+def _most(c: Candidate, name: str) -> float:
+    """The most that a parameter of an effect usually moves; infinite where nothing is usual."""
+    return float(np.max(np.abs(np.subtract(c.typical.get(name, np.inf), c.neutral.get(name, 0.0)))))
 
 
 def telling(table: Table) -> int:

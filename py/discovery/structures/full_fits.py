@@ -28,16 +28,18 @@ class Fits:
     def fit(self, entries: Sequence[Entry], keep: Callable | None = None, later: bool = False) -> None:
         """Fit structures until one explains all: from their own starts through windows, and from where looks led them.
 
-        The second of these where the first left more than the look promised. Looks at whole recordings, which begin
-        where the base is near what it would be, and end near a fit, come first. keep : what takes the fits of entries;
-        None: where they leave less. later : they may take all of their time.
+        The second of these where the first left more than the look promised, and of what left least, on which all else
+        builds. Looks at whole recordings, which begin where the base is near what it would be, and end near a fit, come
+        first. keep : what takes the fits of entries; None: where they leave less. later : they may take all of their
+        time.
         """
         keep = keep or self._keep
         ways = [self._plain, self._on_later if later else self._on]
         if self._near():
             ways.reverse()
         for way in ways:
-            left = [e for e in entries if not self._as_promised(e)]
+            best = min((e for e in self.table.fitted if e.members), key=self.table.score, default=None)
+            left = [e for e in entries if e is best or not self._as_promised(e)]
             for some in batches(left, AT_ONCE):
                 way(some, keep)
                 if self.table.explained():

@@ -18,7 +18,7 @@ from .alternatives import Alternatives, batches
 from .base import LEFT, SAME, BaseFit
 from .beginning import against_all, beginning_of, likely, shows, take_over
 from .ends import Freed, OutOfTime, Surprised
-from .extent import enough_of, telling
+from .extent import enough_of, telling, testable
 from .foreseen import larger, singles
 from .full_fits import Fits
 from .growth import EARLY, Growth
@@ -258,8 +258,19 @@ class Search:
     def _look(self, entries: Sequence[Entry]) -> None:
         """Look at structures from where the base was led or fitted; where that diverges, from where the user put it."""
         known = [e for e in entries if self.table.usable(e)]
-        self._take(known, self._ran([self.jobs.next(e, self.first) for e in known]))
+        looks = self._ran([self.jobs.next(e, self.first) for e in known])
+        self._take(known, looks)
         self._look_again([e for e in known if not e.look])
+        if self.jobs.extent not in (None, self.table.question):
+            seen = zip(known, looks, strict=True)
+            self._look_at_all([e for e, look in seen if e.look and not any(testable(look, c) for c in e.members)])
+
+    def _look_at_all(self, entries: Sequence[Entry]) -> None:
+        """What shows nothing in the part of the recordings that looks go through may show in all of them."""
+        wholly = self._ran([self.jobs.glance(e, self.table.question) for e in entries])
+        for entry, found in zip(entries, wholly, strict=True):
+            if isinstance(found, Look):
+                entry.look = dataclasses.replace(entry.look, sigmas=found.sigmas)
 
     def _fit(self, entries: Sequence[Entry], later: bool = False) -> None:
         """Fit structures, and ask what that says of their parts and of the base. later : there is time for it."""

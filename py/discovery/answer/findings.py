@@ -42,7 +42,7 @@ def reason_of(search: Search, said: Standing, data: Split, elsewhere: Sequence[s
         names += " (or another that closes as much)" if others == 1 else ""
         return (
             f"{capitalised(names)} {verb} of what is missing: {percent(closed(table, best))} of the gap "
-            f"closes. What is left, {_times(said):.2g} times the noise, has no name in the catalogue.{unfinished}"
+            f"closes. What is left, {_times(said):.3g} times the noise, has no name in the catalogue.{unfinished}"
         )
     if said.unasked:
         return (
@@ -54,7 +54,7 @@ def reason_of(search: Search, said: Standing, data: Split, elsewhere: Sequence[s
         closest = "come closest, and leave" if several else "comes closest, and leaves"
         return (
             f"Something is missing, and no effect of the catalogue explains all of it: {names} {closest} "
-            f"{_times(said):.2g} times the noise. It gets no name.{unfinished}"
+            f"{_times(said):.3g} times the noise. It gets no name.{unfinished}"
         )
     return f"Something is missing, and nothing that was fitted explains it.{unfinished}" if unfinished else ""
 

@@ -63,8 +63,10 @@ OPERATIONS: dict[int, Callable] = {
 def by_columns(function: ca.Function) -> Callable[..., list[np.ndarray]]:
     """``(*arguments) -> values (rows, n)`` of a function: arguments (rows, n), or (rows,) the same for all columns.
 
-    One that NumPy has no operation for is evaluated by CasADi.
+    One that NumPy has no operation for, or that is no function of scalars, is evaluated by CasADi.
     """
+    if not function.is_a("SXFunction"):
+        return lambda *arguments: _by_casadi(function, arguments)
     steps = range(function.n_instructions())
     program = [(function.instruction_id(k), function.instruction_input(k), function.instruction_output(k))
                for k in steps]  # fmt: skip
@@ -77,7 +79,7 @@ def by_columns(function: ca.Function) -> Callable[..., list[np.ndarray]]:
         return lambda *arguments: _by_casadi(function, arguments)
 
     def evaluate(*arguments) -> list[np.ndarray]:
-        n = max(a.shape[1] for a in arguments if np.ndim(a) == 2)
+        n = max((a.shape[1] for a in arguments if np.ndim(a) == 2), default=1)
         found = [np.zeros((rows, n)) for rows, _ in shapes]
         work = [0.0] * function.sz_w()
         with np.errstate(all="ignore"):

@@ -118,3 +118,13 @@ def test_what_shows_nothing_in_a_part_of_the_recordings_is_looked_at_in_all_of_t
     monkeypatch.setattr(search_module, "testable", lambda known, c: c.id != "null_bias")
     search._look([friction, bias])
     assert not friction.look.sigmas and bias.look.sigmas
+
+
+def test_what_diverged_from_one_start_and_was_fitted_from_another_has_not_failed():
+    """The answer had said that it cannot be tried."""
+    search = filled(base=100.0)
+    entry = search.table.entry([search.table.candidates[0]])
+    search.fits._keep([entry], ["it diverges"])
+    assert entry.failed
+    search.fits._keep([entry], [leaving(10.0)])
+    assert entry.fitted and not entry.failed

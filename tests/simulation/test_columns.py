@@ -72,3 +72,11 @@ def test_no_value_is_no_row():
     x = ca.SX.sym("x")
     (own,) = by_columns(ca.Function("none", [x], [ca.SX(0, 1)]))(np.zeros((1, 3)))
     assert own.shape == (0, 3)
+
+
+def test_a_function_of_matrices_is_left_to_casadi_and_one_column_may_be_a_vector():
+    m, x = ca.MX.sym("m", 2), np.array([[0.1, 0.2, 0.3], [1.0, 2.0, 3.0]])
+    assert by_columns(ca.Function("wave", [m], [ca.sin(m)]))(x)[0] == pytest.approx(np.sin(x))
+    s = ca.SX.sym("s", 2)
+    (own,) = by_columns(ca.Function("wave", [s], [ca.sin(s)]))(x[:, 0])
+    assert own[:, 0] == pytest.approx(np.sin(x[:, 0]))

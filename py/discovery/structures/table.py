@@ -220,7 +220,7 @@ class Table:
             entry.failed = entry.failed or ("" if before else found)
             return
         score = self.score(entry) if before else np.inf
-        entry.fitted = found
+        entry.fitted, entry.failed = found, ""  # from another start it may have diverged
         entry.fitted = found if self.score(entry) < score else before
 
     @property

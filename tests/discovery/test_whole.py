@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pytest
 
-from hydrotwin.discovery.fits import whole
+from hydrotwin.discovery.fits import leading, whole
 from hydrotwin.discovery.fits.job import Job
 from hydrotwin.discovery.fits.whole import as_look, conclude, fit, glance, trajectories
 from hydrotwin.models.language import Model
+from hydrotwin.models.language.errors import SolveError
 from tests.discovery.slides import (
     DAMPING,
     MASS,
@@ -78,7 +80,8 @@ def test_an_effect_is_fitted_with_the_base(rubbing):
 LIMIT, IDLE, TIGHT = "command_saturation.limit", 1e3, 35.0  # N, of 150 N: not reached, from where nothing leads on
 
 
-def test_a_dearer_start_is_followed_where_the_cheapest_one_leads_to_more_than_windows_left():
+def test_a_dearer_start_is_followed_where_the_cheapest_one_leads_to_more_than_windows_left(monkeypatch):
+    monkeypatch.setattr(leading, "IDLE", -1.0)  # that the limit does nothing is not seen
     asked = question(records(3, limit=150.0))
     stuck = fitted(asked, "command_saturation", starts=({LIMIT: IDLE},))
     assert stuck.rmse > 2 * NOISE and stuck.values[LIMIT] == pytest.approx(IDLE)
@@ -87,6 +90,33 @@ def test_a_dearer_start_is_followed_where_the_cheapest_one_leads_to_more_than_wi
     assert led.rmse < 1.1 * NOISE and led.values[LIMIT] == pytest.approx(150.0, rel=0.01)
     wrong = fitted(asked, "command_saturation", size=np.array([5 * NOISE]), **more)
     assert wrong.values[LIMIT] == pytest.approx(IDLE), "in windows it did not explain all"
+
+
+def test_a_start_where_an_effect_does_nothing_comes_last_though_it_costs_least():
+    asked = question(records(3, limit=150.0))
+    base = fitted(asked).values
+    starts = ({**base, LIMIT: IDLE}, {**base, LIMIT: TIGHT})
+    stuck, found = (fitted(asked, "command_saturation", starts=some) for some in (starts[:1], starts))
+    assert stuck.rmse > 2 * NOISE and stuck.values[LIMIT] == pytest.approx(IDLE)
+    assert found.rmse < 1.1 * NOISE and found.values[LIMIT] == pytest.approx(150.0, rel=0.01)
+
+
+def test_a_fit_that_ends_where_an_effect_does_nothing_begins_anew_a_few_times():
+    costs, begun = [3.0, 5.0, 4.0, 0.0], []
+
+    def descend(cost):
+        begun.append(cost)
+        if cost == 5.0:
+            raise SolveError("it diverges")
+        return cost
+
+    descents = [partial(descend, cost) for cost in costs]
+    assert leading.least(descents, lambda cost: False, lambda cost: cost) == 3.0
+    assert begun == costs[: 1 + leading.ANEW]
+    begun.clear()
+    assert leading.least(descents, lambda cost: True, lambda cost: cost) == 3.0 and begun == [3.0]
+    begun.clear()
+    assert leading.least(descents[::-1], lambda cost: cost == 4.0, lambda cost: cost) == 0.0 and begun == [0.0, 4.0]
 
 
 def test_no_other_start_is_tried_where_the_cheapest_one_leads_to_the_noise(monkeypatch):

@@ -68,6 +68,14 @@ def test_of_several_starts_the_one_that_costs_least_is_followed(asked, led):
     assert several.values == pytest.approx(led.values, rel=1e-3)
 
 
+def test_a_start_where_an_effect_does_nothing_comes_last_though_it_costs_least():
+    flat, free, limit = started("command_saturation")
+    asked = dataclasses.replace(question(records(3, limit=150.0)), lengths=LENGTHS)
+    bent = {"mass.mass": 69.4, "mass.damping": 291.0}  # where the base alone ends; commands reach 300 N
+    found = look(Job(flat, free, asked, ({**bent, limit: 1e3}, {**bent, limit: 35.0}), stages=(0, 2)))
+    assert found.values[limit] == pytest.approx(150.0, rel=0.05) and found.size == pytest.approx([NOISE], rel=0.2)
+
+
 def test_what_has_no_time_left_is_a_look_as_far_as_it_came(asked):
     hurried = look(rubbing(asked, 140.0, seconds=0.0))
     assert isinstance(hurried, Look) and hurried.squares.shape == (2, 1)

@@ -180,6 +180,11 @@ def point_of(free: FreeParameters, start: Mapping[str, float]) -> np.ndarray:
     return free.scaled(np.clip(values, free.lower, free.upper))
 
 
+def of_effects(free: FreeParameters, q: Question) -> np.ndarray:
+    """Which free parameters (np,) are not the base's."""
+    return np.array([n not in q.usual for n in free.names], dtype=bool)
+
+
 def moving_starts(job: Job) -> list[str]:
     """States whose starts a fit to whole recordings may move: those that are measured, unless told."""
     q = job.question

@@ -15,6 +15,7 @@ import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -28,7 +29,8 @@ from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 
 from ..evidence.score import spectrum
-from .job import Fitted, Job, Look, apart, broad, moving_starts, not_below, point_of, task_of
+from .job import Fitted, Job, Look, apart, broad, moving_starts, not_below, of_effects, point_of, task_of
+from .leading import idle, leading_first, least
 from .windows import look
 
 FEW = 8  # iterations of a look at whole recordings
@@ -38,7 +40,6 @@ LONGEST = 30  # iterations in all rounds together
 NEAR = 1.3  # times the noise, or what windows left: what leaves more is not near to it
 STEPS = 3  # of each of these, after which the cheapest goes on
 FAR = 3.0  # times the noise that a structure leaves of an output: precise runs tell it from none that leaves less
-COSTLY = 0.1  # of the seconds of a fit: what choosing its start may take
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
 FIRST = {"absolute": 0.5, "relative": 2e-3, "stalled": 5.0}  # while the weights are about to change
@@ -95,7 +96,7 @@ def as_look(fitted: Fitted) -> Look:
 def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
     began = time.process_time()
     run = _begun(job, rough=True)
-    found = run.minimum(0, FIRST, job.iterations)
+    found = run.least(FIRST, job.iterations)
     until = min(job.seconds, 2 * time.process_time() - began)
     return precisely(job, run.task, _lower(run, found, job, until))
 
@@ -140,9 +141,9 @@ def precisely(job: Job, task: Task, found: Minimum) -> tuple[Task, Minimum, list
 
 @dataclass(frozen=True, eq=False)
 class _Begun:
-    """Whole runs of a job before any step: start states z, and scaled parameters of its starts, the cheapest first.
+    """Whole runs of a job before any step: start states z, and scaled parameters of its starts, the first in front.
 
-    at : the expansion at the first of them, where it is known.
+    at : the expansion at the first of them, where it is known. effects : (np,) which parameters are those of effects.
     """
 
     task: Task
@@ -150,6 +151,12 @@ class _Begun:
     z: np.ndarray
     points: list[np.ndarray]
     at: Linearisation | None
+    effects: np.ndarray
+
+    def least(self, rules: Mapping[str, float], most: int) -> Minimum:
+        """The minimum beside the first start, or beside others where an effect acts nowhere there."""
+        descents = [partial(self.minimum, k, rules, most) for k in range(len(self.points))]
+        return least(descents, lambda m: not idle(m.at, self.effects), lambda m: m.cost)
 
     def minimum(self, of: int | Minimum, rules: Mapping[str, float], most: int, until: float = np.inf) -> Minimum:
         """The minimum beside one of the starts, or of a minimisation that goes on."""
@@ -160,9 +167,9 @@ class _Begun:
 
 
 def first(job: Job, rules: Mapping[str, float] = FIRST, rough: bool = False) -> tuple[Task, Minimum]:
-    """The task and its first minimum from the cheapest start."""
+    """The task and its first minimum."""
     run = _begun(job, rough)
-    return run.task, run.minimum(0, rules, job.iterations)
+    return run.task, run.least(rules, job.iterations)
 
 
 def _begun(job: Job, rough: bool) -> _Begun:
@@ -171,35 +178,8 @@ def _begun(job: Job, rough: bool) -> _Begun:
     task = dataclasses.replace(task_of(job, job.starts[0], size, moving_starts(job), rough), until=job.seconds)
     runs, z = whole_runs(task)
     z = given(runs, z, job.states)
-    return _Begun(task, runs, z, *_cheapest_first(task, job, runs, z))
-
-
-def _cheapest_first(
-    task: Task, job: Job, shooting: Shooting, z: np.ndarray
-) -> tuple[list[np.ndarray], Linearisation | None]:
-    """Scaled parameters of the starts, the cheapest from which a derivative leads on first; the expansion there.
-
-    Far from the machine a free run may be so sensitive that its derivatives explode, though it ends nearby. The
-    expansion is None where it is not known.
-    """
-    free = task.free
-    if len(job.starts) == 1:
-        return [free.scaled(free.start)], None
-    points = [point_of(free, start) for start in job.starts]
-    began = time.process_time()
-    costs = []
-    for q in points:
-        costs.append(shooting.cost(q, z, min(costs, default=np.inf)))  # of the dearer ones no more need be known
-        if time.process_time() - began > COSTLY * (job.seconds - began):
-            break  # so stiff that the first few must do
-    points = [points[k] for k in np.argsort(costs, kind="stable")]
-    if time.process_time() - began > COSTLY * (job.seconds - began):
-        return points, None
-    for k, q in enumerate(points):
-        at = shooting.linearise(q, z)
-        if not at.diverged.any():
-            return [q, *points[:k], *points[k + 1 :]], at
-    return points, None
+    starts, effects = [point_of(task.free, start) for start in job.starts], of_effects(task.free, q)
+    return _Begun(task, runs, z, *leading_first(runs, starts, z, effects, job.seconds), effects)
 
 
 def settled(task: Task, found: Minimum, most: int, until: float = np.inf) -> tuple[Task, Minimum, list[np.ndarray]]:

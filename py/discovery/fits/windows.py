@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -20,7 +22,8 @@ from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Segment, Shooting
 from hydrotwin.models.language.errors import SolveError
 
-from .job import Job, Look, Question, apart, broad, not_below, point_of, task_of
+from .job import Job, Look, Question, apart, broad, not_below, of_effects, point_of, task_of
+from .leading import idle, leading_first, least
 
 STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 10.0, "most": 12}  # of a minimisation over windows
 TO_ITS_END = {**STAGE, "most": 100}  # of one along whose course others begin: short of a minimum all of them do much
@@ -43,35 +46,75 @@ def _led(job: Job) -> Look:
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
     names = [s.name for s in job.flat.states]
     task = task_of(job, job.starts[0], size, names, rough=True)
-    point, states = _cheapest(task, job)
+    points, states = _begun(task, job)
+    effects, point = of_effects(task.free, q), points[0]
+    turns = (TO_ITS_END, MOST_TURNS) if job.tells_courses else (STAGE, TURNS)
     squares, counts, trail, courses = [], [], [], []
-    rules, turns = (TO_ITS_END, MOST_TURNS) if job.tells_courses else (STAGE, TURNS)
     for seconds in q.lengths[begin:end]:
         shooting, z = _cut(undecided(task), point, seconds, states, q)
         if trail:
-            z = _nearer(task, shooting, point, z, q.lengths[0])
-        for _ in range(turns):
-            found = minimise(shooting, point, z, **rules, until=job.seconds)
-            point, z = found.q, found.z
-            left, count = _left(shooting, found)
-            if not np.isfinite(left).all():
-                break
-            before, size = size, not_below(q.noise, np.sqrt(left / np.maximum(count, 1)))
-            shooting = dataclasses.replace(shooting, weights=weights(size))
-            if time.process_time() > job.seconds or not apart(size, before) > CHANGED:
-                break
-        task, known = dataclasses.replace(task, weights=shooting.weights), shooting.trajectories(point, z)
+            points, z = [point], _nearer(task, shooting, point, z, q.lengths[0])
+        runs = _Turns(shooting, size, q.noise, *turns, job.seconds)
+        descents = [partial(runs.taken, point, z) for point in points]
+        ended = least(descents, lambda e: not idle(e.found.at, effects), lambda e: e.cost)
+        point, z, size = ended.found.q, ended.found.z, ended.size
+        known = ended.shooting.trajectories(point, z)
+        task = dataclasses.replace(task, weights=ended.shooting.weights)
         states = [np.where(np.isfinite(new), new, old) for new, old in zip(known, states, strict=True)]
         courses.append(tuple(dict(zip(names, x.T.copy(), strict=True)) for x in states) if job.tells_courses else ())
-        squares.append(left)
-        counts.append(count)
+        squares.append(ended.left)
+        counts.append(ended.count)
         trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
-    known_to = dict(zip(task.free.names, sigmas(found, task.free), strict=True))
+    known_to = dict(zip(task.free.names, sigmas(ended.found, task.free), strict=True))
     return Look(
         trail[-1], np.array(squares), np.array(counts), size, first, tuple(trail[:-1]), known_to,
         begin=begin, courses=tuple(courses) if job.tells_courses else (),
     )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Ended:
+    """Where windows of one length ended, and what they leave: squares (ny,), SI, worth so many values, and its size."""
+
+    found: Minimum
+    shooting: Shooting
+    left: np.ndarray
+    count: np.ndarray
+    size: np.ndarray
+
+    @property
+    def cost(self) -> float:
+        """Nats that the sizes of what is left cost; infinite where a run diverges."""
+        with np.errstate(divide="ignore"):
+            return float(np.nansum(self.count * np.log(self.size))) if np.isfinite(self.left).all() else np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class _Turns:
+    """Weights and minimum in turns, in windows of one length; size : (ny,), SI, what a residual costs at first."""
+
+    shooting: Shooting
+    size: np.ndarray
+    noise: np.ndarray
+    rules: Mapping[str, float]
+    most: int
+    until: float
+
+    def taken(self, q: np.ndarray, z: np.ndarray) -> _Ended:
+        """From scaled parameters and start states, until sizes settle, the turns are spent or the time is over."""
+        shooting, size = self.shooting, self.size
+        for _ in range(self.most):
+            found = minimise(shooting, q, z, **self.rules, until=self.until)
+            q, z = found.q, found.z
+            left, count = _left(shooting, found)
+            if not np.isfinite(left).all():
+                break
+            before, size = size, not_below(self.noise, np.sqrt(left / np.maximum(count, 1)))
+            shooting = dataclasses.replace(shooting, weights=weights(size))
+            if time.process_time() > self.until or not apart(size, before) > CHANGED:
+                break
+        return _Ended(found, shooting, left, count, size)
 
 
 def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, seconds: float) -> np.ndarray:
@@ -82,8 +125,8 @@ def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, second
     return min(z, other, key=lambda each: shooting.cost(q, each))
 
 
-def _cheapest(task: Task, job: Job) -> tuple[np.ndarray, list[np.ndarray]]:
-    """Scaled parameters of the start that costs least in the first of its windows, and state trajectories (n, nx).
+def _begun(task: Task, job: Job) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """Scaled parameters of the starts, the one that leads on in the first windows in front; trajectories (n, nx).
 
     Windows begin along the course that the job knows, else in states that a run guesses.
     """
@@ -91,13 +134,9 @@ def _cheapest(task: Task, job: Job) -> tuple[np.ndarray, list[np.ndarray]]:
     p, recordings = task.free.vector(points[0]), task.recordings
     states = _along(job, p) if job.course else horizon.first_guess(task.flat, recordings, task.propagator, p, seconds)
     if len(points) == 1:
-        return points[0], states
+        return points, states
     shooting, z = _cut(task, points[0], seconds, states, job.question)
-    least, best = np.inf, points[0]
-    for q in points:
-        cost = shooting.cost(q, z, least)
-        least, best = (cost, q) if cost < least else (least, best)
-    return best, states
+    return leading_first(shooting, points, z, of_effects(task.free, job.question), job.seconds)[0], states
 
 
 def _along(job: Job, p: np.ndarray) -> list[np.ndarray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from hydrotwin.discovery.answer import answering
+from hydrotwin.discovery.fits.whole import step
 from hydrotwin.discovery.structures import search as search_module
 from hydrotwin.discovery.structures.extent import beginnings
 from tests.discovery.slides import begun, found, records
@@ -128,3 +129,16 @@ def test_what_diverged_from_one_start_and_was_fitted_from_another_has_not_failed
     assert entry.failed
     search.fits._keep([entry], [leaving(10.0)])
     assert entry.fitted and not entry.failed
+
+
+def test_what_diverged_in_a_part_and_was_looked_at_from_its_own_start_does_not_end_the_search(monkeypatch):
+    search = begun(records(3, dry=30.0), BOTH)
+    search.identify()
+    search._to_whole_recordings()
+    search.jobs.extent = beginnings(search.table.question, 0.25)
+    entries = [search.table.entry([c]) for c in search.table.candidates]
+    own = [search.jobs.glance(e, None) for e in entries]
+    monkeypatch.setattr(search, "_ran", lambda jobs, function=None: ["it diverges"] * len(jobs))
+    search._look_again = lambda known: setattr(known[0], "look", step(own[0]))
+    search._look(entries)
+    assert entries[0].look and not entries[1].look

@@ -262,8 +262,8 @@ class Search:
         self._take(known, looks)
         self._look_again([e for e in known if not e.look])
         if self.jobs.extent not in (None, self.table.question):
-            seen = zip(known, looks, strict=True)
-            self._look_at_all([e for e, look in seen if e.look and not any(testable(look, c) for c in e.members)])
+            seen = [(e, look) for e, look in zip(known, looks, strict=True) if isinstance(look, Look)]
+            self._look_at_all([e for e, look in seen if not any(testable(look, c) for c in e.members)])
 
     def _look_at_all(self, entries: Sequence[Entry]) -> None:
         """What shows nothing in the part of the recordings that looks go through may show in all of them."""

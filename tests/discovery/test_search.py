@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from hydrotwin.discovery.evidence.score import Spectrum
+from hydrotwin.discovery.structures import foreseen as foreseen_module
 from hydrotwin.discovery.structures import search as search_module
 from hydrotwin.discovery.structures.foreseen import foreseen, larger, singles
 from hydrotwin.discovery.structures.jobs import EFFORTS
@@ -297,3 +298,16 @@ def test_what_explains_much_is_fitted_with_what_promises_most_beside_it_before_o
     known = len(search.table.entries)
     search.growth.grow(search.first)
     assert len(search.table.entries) == known  # once
+
+
+def test_looks_at_what_first_order_puts_first_try_every_start(monkeypatch):
+    """From where it costs least nothing had led on, and the right effect had seemed to explain nothing."""
+    monkeypatch.setattr(foreseen_module, "LIKELY", 1)
+    search = begun(records(3, dry=30.0), SOME)
+    search.identify()
+    search._to_whole_recordings()
+    first, *others = singles(search.jobs)
+    assert search.jobs.next(first, 0).tries and not any(search.jobs.next(e, 0).tries for e in others)
+    tried(search, first)
+    assert search.jobs.whole(first).tries and search.jobs.plain_soon(others[0]).tries
+    assert not search.jobs.glance_from(first, others[0], {}, search.table.question, 3).tries

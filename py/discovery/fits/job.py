@@ -61,7 +61,8 @@ class Job:
     what a residual costs at first; None: a few percent of the spread.
     iterations, seconds : the most that each stage takes, [1] and [s] of all. stages : of the windows' lengths, from
     which one to before which one a look goes; (0, 0) for one at whole recordings, None for a fit to them. threads :
-    over recordings. tells_courses : whether a look tells its own.
+    over recordings. tells_courses : whether a look tells its own. tries : whether at whole recordings the
+    first steps from every start choose it, or what it costs.
     """
 
     flat: FlatModel
@@ -77,6 +78,7 @@ class Job:
     threads: int = 1
     course: tuple[Mapping[str, np.ndarray], ...] = ()
     tells_courses: bool = False
+    tries: bool = True
 
     def beginning(self) -> Job:
         """The same, whose seconds count from now: ``seconds`` becomes a time of `time.process_time`."""
@@ -178,11 +180,6 @@ def point_of(free: FreeParameters, start: Mapping[str, float]) -> np.ndarray:
     """Scaled parameters of a start, clipped to the bounds; what it does not say is as ``free`` begins."""
     values = np.array([start.get(n, own) for n, own in zip(free.names, free.start.tolist(), strict=True)])
     return free.scaled(np.clip(values, free.lower, free.upper))
-
-
-def of_effects(free: FreeParameters, q: Question) -> np.ndarray:
-    """Which free parameters (np,) are not the base's."""
-    return np.array([n not in q.usual for n in free.names], dtype=bool)
 
 
 def moving_starts(job: Job) -> list[str]:

@@ -10,12 +10,10 @@ Source: Y. Bard, Nonlinear Parameter Estimation, 1974, ch. IV (unknown covarianc
 
 from __future__ import annotations
 
-import contextlib
 import dataclasses
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -24,21 +22,19 @@ from hydrotwin.identification.descent import Task, held_out_run, undecided, whol
 from hydrotwin.identification.excitation import sigmas
 from hydrotwin.identification.least_squares import Minimum, minimise
 from hydrotwin.identification.noise import weights
-from hydrotwin.identification.shooting import Linearisation, Shooting
+from hydrotwin.identification.shooting import Shooting
 from hydrotwin.models.language.errors import SolveError
 from hydrotwin.simulation import prepare
 
 from ..evidence.score import spectrum
-from .job import Fitted, Job, Look, apart, broad, moving_starts, not_below, of_effects, point_of, task_of
-from .leading import idle, leading_first, least
+from .first_steps import lowest
+from .job import Fitted, Job, Look, apart, broad, moving_starts, not_below, point_of, task_of
 from .windows import look
 
 FEW = 8  # iterations of a look at whole recordings
 ROUGHLY = {"absolute": 2.0, "relative": 0.02, "stalled": 10.0}  # of such a look: candidates must be told apart
 ROUNDS = 5  # of weights and minimum
 LONGEST = 30  # iterations in all rounds together
-NEAR = 1.3  # times the noise, or what windows left: what leaves more is not near to it
-STEPS = 3  # of each of these, after which the cheapest goes on
 FAR = 3.0  # times the noise that a structure leaves of an output: precise runs tell it from none that leaves less
 STEADY = 0.02  # relative change of the sizes that ends the rounds
 TOLERANCE = {"absolute": 0.02, "relative": 1e-5, "stalled": 1.0}
@@ -94,34 +90,8 @@ def as_look(fitted: Fitted) -> Look:
 
 
 def _fitted(job: Job) -> tuple[Task, Minimum, list[np.ndarray]]:
-    began = time.process_time()
-    run = _begun(job, rough=True)
-    found = run.least(FIRST, job.iterations)
-    until = min(job.seconds, 2 * time.process_time() - began)
-    return precisely(job, run.task, _lower(run, found, job, until))
-
-
-def _lower(run: _Begun, found: Minimum, job: Job, until: float) -> Minimum:
-    """The minimum, or a lower one to which another start leads, where it leaves more than windows had left.
-
-    Of two starts the dearer one may lead further: windows may have led to where all but one of them are explained. A
-    few steps tell it. All others have as much time together as the cheapest one had.
-    """
-    noise = run.task.noise
-    promised = not_below(noise, job.size) if job.size is not None else np.full_like(noise, np.inf)
-    if np.nanmax(promised / noise) > NEAR:  # it was not to explain all
-        return found
-    if not np.nanmax(_size(run.task, residuals_of(run.task, found)) / promised) > NEAR:
-        return found
-    best = found
-    for k in range(1, len(run.points)):
-        if time.process_time() > until:
-            break
-        with contextlib.suppress(SolveError):
-            best = min(best, run.minimum(k, FIRST, STEPS, until), key=lambda m: m.cost)
-    if best is found:
-        return found
-    return min(found, run.minimum(best, FIRST, job.iterations), key=lambda m: m.cost)
+    task, found = first(job, rough=True)
+    return precisely(job, task, found)
 
 
 def precisely(job: Job, task: Task, found: Minimum) -> tuple[Task, Minimum, list[np.ndarray]]:
@@ -139,47 +109,14 @@ def precisely(job: Job, task: Task, found: Minimum) -> tuple[Task, Minimum, list
     return settled(precise, found, job.iterations, job.seconds)
 
 
-@dataclass(frozen=True, eq=False)
-class _Begun:
-    """Whole runs of a job before any step: start states z, and scaled parameters of its starts, the first in front.
-
-    at : the expansion at the first of them, where it is known. effects : (np,) which parameters are those of effects.
-    """
-
-    task: Task
-    runs: Shooting
-    z: np.ndarray
-    points: list[np.ndarray]
-    at: Linearisation | None
-    effects: np.ndarray
-
-    def least(self, rules: Mapping[str, float], most: int) -> Minimum:
-        """The minimum beside the first start, or beside others where an effect acts nowhere there."""
-        descents = [partial(self.minimum, k, rules, most) for k in range(len(self.points))]
-        return least(descents, lambda m: not idle(m.at, self.effects), lambda m: m.cost)
-
-    def minimum(self, of: int | Minimum, rules: Mapping[str, float], most: int, until: float = np.inf) -> Minimum:
-        """The minimum beside one of the starts, or of a minimisation that goes on."""
-        if isinstance(of, Minimum):
-            return minimise(self.runs, of.q, of.z, **rules, most=most, until=until, at=of.at)
-        at = None if of else self.at
-        return minimise(self.runs, self.points[of], self.z, **rules, most=most, until=until, at=at)
-
-
 def first(job: Job, rules: Mapping[str, float] = FIRST, rough: bool = False) -> tuple[Task, Minimum]:
-    """The task and its first minimum."""
-    run = _begun(job, rough)
-    return run.task, run.least(rules, job.iterations)
-
-
-def _begun(job: Job, rough: bool) -> _Begun:
+    """The task and its first minimum, from the start whose first steps lead lowest."""
     q = job.question
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
     task = dataclasses.replace(task_of(job, job.starts[0], size, moving_starts(job), rough), until=job.seconds)
     runs, z = whole_runs(task)
-    z = given(runs, z, job.states)
-    starts, effects = [point_of(task.free, start) for start in job.starts], of_effects(task.free, q)
-    return _Begun(task, runs, z, *leading_first(runs, starts, z, effects, job.seconds), effects)
+    points, z = [point_of(task.free, start) for start in job.starts], given(runs, z, job.states)
+    return task, lowest(runs, points, z, {**rules, "most": job.iterations}, job.seconds, job.tries)
 
 
 def settled(task: Task, found: Minimum, most: int, until: float = np.inf) -> tuple[Task, Minimum, list[np.ndarray]]:

@@ -8,22 +8,20 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from functools import partial
+from collections.abc import Sequence
 
 import numpy as np
 
 from hydrotwin.identification import horizon
 from hydrotwin.identification.descent import Task, freely, undecided
 from hydrotwin.identification.excitation import sigmas
-from hydrotwin.identification.least_squares import Minimum, minimise
+from hydrotwin.identification.least_squares import Minimum
 from hydrotwin.identification.noise import weights
 from hydrotwin.identification.shooting import Segment, Shooting
 from hydrotwin.models.language.errors import SolveError
 
-from .job import Job, Look, Question, apart, broad, not_below, of_effects, point_of, task_of
-from .leading import idle, leading_first, least
+from .first_steps import lowest
+from .job import Job, Look, Question, apart, broad, not_below, point_of, task_of
 
 STAGE = {"absolute": 0.5, "relative": 3e-3, "stalled": 10.0, "most": 12}  # of a minimisation over windows
 TO_ITS_END = {**STAGE, "most": 100}  # of one along whose course others begin: short of a minimum all of them do much
@@ -46,75 +44,36 @@ def _led(job: Job) -> Look:
     size = broad(q) if job.size is None else not_below(q.noise, job.size)
     names = [s.name for s in job.flat.states]
     task = task_of(job, job.starts[0], size, names, rough=True)
-    points, states = _begun(task, job)
-    effects, point = of_effects(task.free, q), points[0]
-    turns = (TO_ITS_END, MOST_TURNS) if job.tells_courses else (STAGE, TURNS)
+    points = [point_of(task.free, start) for start in job.starts]
+    states = _begun(task, job, points[0])
     squares, counts, trail, courses = [], [], [], []
+    rules, turns = (TO_ITS_END, MOST_TURNS) if job.tells_courses else (STAGE, TURNS)
     for seconds in q.lengths[begin:end]:
-        shooting, z = _cut(undecided(task), point, seconds, states, q)
+        shooting, z = _cut(undecided(task), points, seconds, states, q)
         if trail:
-            points, z = [point], _nearer(task, shooting, point, z, q.lengths[0])
-        runs = _Turns(shooting, size, q.noise, *turns, job.seconds)
-        descents = [partial(runs.taken, point, z) for point in points]
-        ended = least(descents, lambda e: not idle(e.found.at, effects), lambda e: e.cost)
-        point, z, size = ended.found.q, ended.found.z, ended.size
-        known = ended.shooting.trajectories(point, z)
-        task = dataclasses.replace(task, weights=ended.shooting.weights)
+            z = _nearer(task, shooting, points[0], z, q.lengths[0])
+        for _ in range(turns):
+            found = lowest(shooting, points, z, rules, job.seconds, tries=False)
+            points, z = [found.q], found.z
+            left, count = _left(shooting, found)
+            if not np.isfinite(left).all():
+                break
+            before, size = size, not_below(q.noise, np.sqrt(left / np.maximum(count, 1)))
+            shooting = dataclasses.replace(shooting, weights=weights(size))
+            if time.process_time() > job.seconds or not apart(size, before) > CHANGED:
+                break
+        task, known = dataclasses.replace(task, weights=shooting.weights), shooting.trajectories(found.q, z)
         states = [np.where(np.isfinite(new), new, old) for new, old in zip(known, states, strict=True)]
         courses.append(tuple(dict(zip(names, x.T.copy(), strict=True)) for x in states) if job.tells_courses else ())
-        squares.append(ended.left)
-        counts.append(ended.count)
-        trail.append(dict(zip(task.free.names, task.free.values(point).tolist(), strict=True)))
+        squares.append(left)
+        counts.append(count)
+        trail.append(dict(zip(task.free.names, task.free.values(found.q).tolist(), strict=True)))
     first = tuple(dict(zip(names, x[0].tolist(), strict=True)) for x in states)
-    known_to = dict(zip(task.free.names, sigmas(ended.found, task.free), strict=True))
+    known_to = dict(zip(task.free.names, sigmas(found, task.free), strict=True))
     return Look(
         trail[-1], np.array(squares), np.array(counts), size, first, tuple(trail[:-1]), known_to,
         begin=begin, courses=tuple(courses) if job.tells_courses else (),
     )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
-class _Ended:
-    """Where windows of one length ended, and what they leave: squares (ny,), SI, worth so many values, and its size."""
-
-    found: Minimum
-    shooting: Shooting
-    left: np.ndarray
-    count: np.ndarray
-    size: np.ndarray
-
-    @property
-    def cost(self) -> float:
-        """Nats that the sizes of what is left cost; infinite where a run diverges."""
-        with np.errstate(divide="ignore"):
-            return float(np.nansum(self.count * np.log(self.size))) if np.isfinite(self.left).all() else np.inf
-
-
-@dataclass(frozen=True, eq=False)
-class _Turns:
-    """Weights and minimum in turns, in windows of one length; size : (ny,), SI, what a residual costs at first."""
-
-    shooting: Shooting
-    size: np.ndarray
-    noise: np.ndarray
-    rules: Mapping[str, float]
-    most: int
-    until: float
-
-    def taken(self, q: np.ndarray, z: np.ndarray) -> _Ended:
-        """From scaled parameters and start states, until sizes settle, the turns are spent or the time is over."""
-        shooting, size = self.shooting, self.size
-        for _ in range(self.most):
-            found = minimise(shooting, q, z, **self.rules, until=self.until)
-            q, z = found.q, found.z
-            left, count = _left(shooting, found)
-            if not np.isfinite(left).all():
-                break
-            before, size = size, not_below(self.noise, np.sqrt(left / np.maximum(count, 1)))
-            shooting = dataclasses.replace(shooting, weights=weights(size))
-            if time.process_time() > self.until or not apart(size, before) > CHANGED:
-                break
-        return _Ended(found, shooting, left, count, size)
 
 
 def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, seconds: float) -> np.ndarray:
@@ -125,18 +84,12 @@ def _nearer(task: Task, shooting: Shooting, q: np.ndarray, z: np.ndarray, second
     return min(z, other, key=lambda each: shooting.cost(q, each))
 
 
-def _begun(task: Task, job: Job) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Scaled parameters of the starts, the one that leads on in the first windows in front; trajectories (n, nx).
-
-    Windows begin along the course that the job knows, else in states that a run guesses.
-    """
-    points, seconds = [point_of(task.free, start) for start in job.starts], job.question.lengths[job.stages[0]]
-    p, recordings = task.free.vector(points[0]), task.recordings
-    states = _along(job, p) if job.course else horizon.first_guess(task.flat, recordings, task.propagator, p, seconds)
-    if len(points) == 1:
-        return points, states
-    shooting, z = _cut(task, points[0], seconds, states, job.question)
-    return leading_first(shooting, points, z, of_effects(task.free, job.question), job.seconds)[0], states
+def _begun(task: Task, job: Job, q: np.ndarray) -> list[np.ndarray]:
+    """State trajectories (n, nx) in which windows begin: along the course that the job knows, else as a run guesses."""
+    p, seconds = task.free.vector(q), job.question.lengths[job.stages[0]]
+    if job.course:
+        return _along(job, p)
+    return horizon.first_guess(task.flat, task.recordings, task.propagator, p, seconds)
 
 
 def _along(job: Job, p: np.ndarray) -> list[np.ndarray]:
@@ -153,13 +106,14 @@ def _along(job: Job, p: np.ndarray) -> list[np.ndarray]:
 
 
 def _cut(
-    task: Task, q: np.ndarray, seconds: float, states: Sequence[np.ndarray], question: Question
+    task: Task, points: Sequence[np.ndarray], seconds: float, states: Sequence[np.ndarray], question: Question
 ) -> tuple[Shooting, np.ndarray]:
     """Windows of ``seconds`` with all start states free, and their scaled start states from known trajectories.
 
-    They begin where shorter ones began, so that these have found the states there, and do not overlap.
+    points : scaled parameters from which they are led. They begin where shorter ones began, so that these have found
+    the states there, and do not overlap.
     """
-    delay = horizon.longest_delay(task.flat, task.free.vector(q), seconds)
+    delay = max(horizon.longest_delay(task.flat, task.free.vector(q), seconds) for q in points)
     places = horizon.cut(task.recordings, question.lengths[0])
     segments: list[Segment] = []
     for place in places[:: int(np.ceil(len(places) / question.windows))]:

@@ -21,6 +21,7 @@ from .table import Entry, Table
 
 GROWN = 2  # structures, the best, to which effects are added
 SAMPLES = 1500  # of stretches in which windows leave most
+LIKELY = 16  # single effects that are looked at with more care: those that promise most
 IN_ALL = 2000  # of whole recordings: a gap that shows in all of them alone is small
 
 
@@ -52,7 +53,9 @@ def singles(jobs: Jobs) -> list[Entry]:
     table = jobs.table
     known = foreseen(table, jobs, table.entry())
     left = {label: one.left for label, one in known.items()}
-    return [table.entry([c]) for c in sorted(table.candidates, key=lambda c: left.get(c.label, 1.0))]
+    entries = [table.entry([c]) for c in sorted(table.candidates, key=lambda c: left.get(c.label, 1.0))]
+    jobs.likely = [e.key for e in entries[:LIKELY]]
+    return entries
 
 
 def larger(jobs: Jobs, size: int) -> list[Entry]:

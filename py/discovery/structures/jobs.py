@@ -54,7 +54,8 @@ class Jobs:
 
     extent : what looks at whole recordings see; None: all. windows : the question whose windows lead a fit from its
     start, where looks do not go through them. begin : base parameters by path that begin elsewhere than
-    where the user put them, since the recordings show another frequency.
+    where the user put them, since the recordings show another frequency. likely : structures that first order puts
+    first: looks at them, as all fits, try the first steps from every start.
     """
 
     table: Table
@@ -63,6 +64,7 @@ class Jobs:
     windows: Question | None = None
     begin: Mapping[str, float] = field(default_factory=dict)
     led: Mapping[str, float] | None = None
+    likely: Sequence[Key] = ()
     _runs: dict[Key, tuple[Fitted, list[np.ndarray]]] = field(default_factory=dict)
 
     def next(self, entry: Entry, first: int) -> Job:
@@ -174,7 +176,8 @@ class Jobs:
     def of(self, entry: Entry, starts: Sequence[Mapping[str, float]], **settings) -> Job:
         """The job of a structure from these starts; settings as in `Job`."""
         table, effort = self.table, self.effort
-        settings = {"iterations": effort.iterations, "seconds": effort.seconds, **settings}
+        tries = settings.get("stages") is None or entry.key in self.likely
+        settings = {"iterations": effort.iterations, "seconds": effort.seconds, "tries": tries, **settings}
         label = " + ".join(entry.key) or table.base.name
         return Job(table.model(entry).flat, table.names(entry), table.question, tuple(starts), label=label, **settings)
 
@@ -204,9 +207,8 @@ class Jobs:
         """So many steps in the recordings of a question from where the best ended, with effects at more values, too."""
         job, seconds = self.from_there(entry, best), self.effort.look
         starts = (*([{**job.starts[0], **more}] if more else []), *job.starts)
-        return dataclasses.replace(
-            job, starts=starts, question=question, stages=(0, 0), seconds=seconds, iterations=steps
-        )
+        settings = {"stages": (0, 0), "seconds": seconds, "iterations": steps, "tries": False}
+        return dataclasses.replace(job, starts=starts, question=question, **settings)
 
     def glance_on(self, best: Entry, entry: Entry, look: Look, question: Question) -> Job:
         """A few steps more from where such a look ended."""

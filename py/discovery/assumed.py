@@ -151,7 +151,8 @@ def _job(search: Search, entry: Entry, select=()) -> Job:
     """A structure where its fit has ended, under the noise that all fits show."""
     table, fitted = search.table, entry.fitted
     job = search.jobs.of(entry, [fitted.values], states=fitted.states, size=fitted.rmse)
-    return dataclasses.replace(job, question=dataclasses.replace(table.question, noise=table.noise, select=select))
+    question = dataclasses.replace(table.question, noise=table.noise, select=select)
+    return dataclasses.replace(job, question=question, seconds=search.afterwards)
 
 
 def question_samples(job: Job) -> Strays:

@@ -82,7 +82,7 @@ def discover(
         memory: a `Memory` of finished fits, to go on after an interruption; ``seconds`` counts all parts.
         interpolation: "hold" or "linear" by input, in place of what the model says or the recordings show.
         effort: "quick", "normal" or "thorough": how many structures are fitted, and how long each may take.
-        time_limit: seconds [s] after which the best so far is the answer; the last fits still come to their end.
+        time_limit: seconds [s] after which the best so far is the answer; last fits take a few seconds more.
         so_far: called with the answer as it stands, after 45 s and again every minute at most; changes nothing.
 
     Raises DataError (recordings that cannot be used), DeclarationError (unknown names), SolveError (the base model

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import pytest
 
+from hydrotwin.discovery import assumed
 from hydrotwin.discovery.answer import answering
 from hydrotwin.discovery.fits.whole import step
 from hydrotwin.discovery.structures import search as search_module
 from hydrotwin.discovery.structures.extent import beginnings
+from hydrotwin.discovery.structures.jobs import EFFORTS
 from tests.discovery.slides import begun, found, records
 from tests.discovery.test_beside import filled
 from tests.discovery.test_table import leaving
@@ -142,3 +144,17 @@ def test_what_diverged_in_a_part_and_was_looked_at_from_its_own_start_does_not_e
     search._look_again = lambda known: setattr(known[0], "look", step(own[0]))
     search._look(entries)
     assert entries[0].look and not entries[1].look
+
+
+def test_once_the_time_is_over_last_fits_take_no_longer_than_a_look(monkeypatch):
+    """Four of them had taken 128 s beyond a limit of 300 s, and the question of samples that stand alone 19 s."""
+    asked = []
+    for module, name in ((answering, "conclude"), (assumed, "judge_samples")):
+        real = getattr(module, name)
+        monkeypatch.setattr(module, name, lambda job, real=real: asked.append(job.seconds) or real(job))
+    train, judges = records(3, dry=30.0), records(1, first=7, dry=30.0)
+    answer = found(train, BOTH, validate=judges, time_limit=1e-3)
+    assert answer.untried and set(asked) == {EFFORTS["normal"].look}
+    asked.clear()
+    found(train, BOTH, validate=judges)
+    assert len(asked) >= 2 and set(asked) == {EFFORTS["normal"].seconds}

@@ -110,7 +110,8 @@ def answer(search: Search, data: Split, model: Model) -> Discovery:
 def _finals(search: Search, data: Split, said: Standing) -> Finals:
     """The structures that are told, fitted once more with intervals, and run on the recordings that judge.
 
-    A base that is not kept is told where it stands: it has no minimum worth the time while something is missing.
+    A base that is not kept is told where it stands: it has no minimum worth the time while something is missing. So is
+    all but what is kept once the time is over.
     """
     table, kept = search.table, said.kept
     base, needed = table.entry(), {}
@@ -142,17 +143,20 @@ def _without_one(search: Search, data: Split, kept: Entry) -> dict[str, Sequence
 def _answers(search: Search, data: Split, function: Callable, entries: Mapping[str, Entry]) -> dict:
     """What a function answers of structures that were fitted, from where they stand."""
     fitted = {name: e for name, e in entries.items() if e.fitted}
-    jobs = [_last(search, data, e, rest=bool(name) or len(fitted) == 1) for name, e in fitted.items()]
+    late = not search.complete
+    rest = {name: len(fitted) == 1 or (name == "kept" if late else bool(name)) for name in fitted}
+    jobs = [_last(search, data, e, rest[name]) for name, e in fitted.items()]
     answers = search.run(function, jobs, "final fit")
     return dict(zip(fitted, answers, strict=True))
 
 
 def _last(search: Search, data: Split, entry: Entry, rest: bool = True) -> Job:
-    """The last fit of a structure, from where it stands. rest : to where it comes to rest."""
+    """The last fit of a structure, from where it stands. rest : to where it comes to rest, if there is time."""
     fitted = entry.fitted
     question = dataclasses.replace(search.table.question, noise=search.table.noise, select=data.report)
     job = search.jobs.of(entry, [fitted.values], states=fitted.states, size=fitted.rmse)
-    return dataclasses.replace(job, question=question, iterations=job.iterations if rest else 0)
+    iterations = job.iterations if rest else 0
+    return dataclasses.replace(job, question=question, iterations=iterations, seconds=search.afterwards)
 
 
 def _of_fit(after: Concluded, verdict: str) -> list[str]:

@@ -201,6 +201,11 @@ class Search:
         if time.monotonic() < self.until:
             self._take(first, self._ran([self.jobs.whole(e) for e in first]))
 
+    @property
+    def afterwards(self) -> float:
+        """What a job after the search may take [s]: little once its time is over."""
+        return self.effort.seconds if self.complete else self.effort.look
+
     def waiting(self) -> list[Entry]:
         """Structures that a longer search would try, the most promising first."""
         open_ = (e for e in self.table.entries.values() if e.open and e.members and not e.asked)

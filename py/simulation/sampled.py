@@ -14,6 +14,7 @@ from .block import Block
 from .stops import Diverged
 
 CHUNK = 400  # samples per call of the interpreter, at most
+SLACK = 1e-6  # of a period: a sample of the recording this near is due, as in an FMU
 
 
 def sample_grid(block: Block, time: np.ndarray) -> np.ndarray:
@@ -25,7 +26,12 @@ def sample_grid(block: Block, time: np.ndarray) -> np.ndarray:
 
 
 def sampled_inputs(block: Block, time: np.ndarray, u: np.ndarray, grid: np.ndarray) -> np.ndarray:
-    """Inputs (m, nu) at the block's samples: the held or the linear value there, the last one after the end."""
+    """Inputs (m, nu) at the block's samples: the held or the linear value there, the last one after the end.
+
+    A period that is a third of the recording's is a rounded number: at what is a sample but for that, it is the sample.
+    """
+    near = time[np.minimum(np.searchsorted(time, grid - SLACK * block.period), len(time) - 1)]
+    grid = np.where(np.abs(near - grid) < SLACK * block.period, near, grid)
     columns = [inputs.at(time, u[:, j], grid, not s.held, "right") for j, s in enumerate(block.inputs)]
     return np.column_stack(columns) if columns else np.empty((len(grid), 0))
 
@@ -71,7 +77,7 @@ def predict_block(
     interpolated towards the next sample.
     """
     y = np.empty((len(grid), len(block.outputs)))
-    sampled_at = np.unique(np.clip(np.searchsorted(grid, time - 1e-6 * block.period), 0, len(grid) - 1))
+    sampled_at = np.unique(np.clip(np.searchsorted(grid, time - SLACK * block.period), 0, len(grid) - 1))
     until = np.append(sampled_at[1:], len(grid) - 1)
     state = corrected[sampled_at]
     for k in range(int((until - sampled_at).max(initial=0))):

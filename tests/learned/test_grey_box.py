@@ -13,7 +13,7 @@ from hydrotwin.export import export_fmu, read_fmu
 from hydrotwin.learned import domain_share, read_block, write_block
 from hydrotwin.learned.block_file import assemble
 from hydrotwin.learned.grey_box.block import CONSTANTS, GREY_BOX, Dynamics, grey_box_states
-from hydrotwin.learned.grey_box.data import Run, Whitening, best_ratio, coarser, run_of
+from hydrotwin.learned.grey_box.data import Run, Whitening, best_ratio, block_period, coarser, run_of
 from hydrotwin.learned.grey_box.fit import bent_knots, follow, monotone, opening, responses, shares
 from hydrotwin.learned.grey_box.learn import learn_grey_box
 from hydrotwin.learned.piecewise.learn import learn_piecewise
@@ -311,3 +311,13 @@ def test_what_cannot_be_learnt_from_is_refused_in_a_sentence(short, change, sent
 def test_impossible_options_are_refused(short, option):
     with pytest.raises(DeclarationError, match=next(iter(option))):
         learn_grey_box([short], ["current"], ["position"], **BRIEF | option)
+
+
+def test_a_part_of_a_recordings_period_is_not_rounded():
+    """A third of 10 ms with nine digits is a sample off after a few hundred, and an FMU another one than a run."""
+    time = 0.01 * np.arange(600)
+    u = np.sign(np.sin(3 * time) + 0.3 * np.sin(17 * time))
+    y = np.convolve(u, 0.05 * 0.95 ** np.arange(200))[: len(u)]
+    period = block_period("learn", [Record(time, {"u": u, "y": y}, {"u": "1", "y": "m"})], None)
+    parts = 0.01 / period
+    assert round(parts) == 3 and abs(parts - 3) < 1e-12

@@ -10,6 +10,7 @@ from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import ParameterValue, Signal, StateVariable
 from hydrotwin.records import Record
 from hydrotwin.simulation import Block, lower, predict_one_step, simulate, simulate_many
+from hydrotwin.simulation.sampled import sample_grid, sampled_inputs
 from tests.simulation.flat_cehA import flat_cehA
 from tests.simulation.small_models import lag
 
@@ -128,6 +129,15 @@ def test_a_block_runs_at_its_own_period_on_an_uneven_record():
     level = [1 - 0.9 ** (whole + k) for k in (0, 1)]
     expected = level[0] + (steps - whole) * (level[1] - level[0])
     assert simulate(first_order_block(), record)["y"] == pytest.approx(expected, abs=1e-9)
+
+
+def test_a_sample_of_the_block_that_is_one_of_the_recording_but_for_rounding_sees_that():
+    """A third of 10 ms, rounded, had seen the sample before, and an FMU of the block the right one."""
+    time = 0.01 * np.arange(300)
+    u = (np.arange(300) % 7.0)[:, None]
+    block = first_order_block(period=0.00333333333)
+    seen = sampled_inputs(block, time, u, sample_grid(block, time))
+    assert (seen[::3, 0] == u[:, 0]).all() and (seen[1::3, 0] == u[:-1, 0]).all()
 
 
 def test_a_block_without_its_start_says_what_to_record():

@@ -158,7 +158,8 @@ def _fine_period(records: Sequence[Record]) -> float:
     if not all(r.uniform and abs(r.period - recorded) <= 1e-6 * recorded for r in records):
         return float(f"{min(wanted, min(r.period for r in records) / FINER):.6g}")
     steps = np.floor(wanted / recorded * (1 + 1e-9))
-    return float(f"{recorded * steps if steps else recorded / np.ceil(recorded / wanted * (1 - 1e-9)):.9g}")
+    recorded = float(f"{recorded:.9g}")  # the median of printed times carries rounding; a third of it has no end
+    return float(f"{recorded * steps:.9g}") if steps else recorded / float(np.ceil(recorded / wanted * (1 - 1e-9)))
 
 
 def coarser(records: Sequence[Record], period: float) -> float:

@@ -125,10 +125,11 @@ def checked_recordings(verb: str, records, inputs, outputs, validate) -> tuple:
 def check_excitation(records: Sequence[Record], signals: Sequence[Signal]) -> None:
     """Raise `DataError` for a signal that never moves in any of the recordings."""
     box = training_box(records, signals)
+    units = {s.name: "" if s.unit == "1" else f" {s.unit}" for s in signals}
     for name, low, high in zip(box.names, box.lower, box.upper, strict=True):
         if high - low <= 1e-12 * max(abs(low), abs(high), 1e-300):
             raise DataError(
-                f"learn: '{name}' never changes in the training recordings (got {low:g} throughout). "
+                f"learn: '{name}' never changes in the training recordings (got {low:g}{units[name]} throughout). "
                 "Only signals that move can be learnt. Leave it out or add a recording that moves it."
             )
 

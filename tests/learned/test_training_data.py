@@ -131,6 +131,6 @@ def test_a_column_of_another_dimension_is_refused():
 def test_a_signal_that_never_moves_is_refused_by_name():
     record = toy_record(1, duration=5.0)
     still = record.with_signals({"command": np.full(len(record), 1.5)})
-    with pytest.raises(DataError, match=r"'command' never changes .*got 1\.5 throughout"):
+    with pytest.raises(DataError, match=r"'command' never changes .*got 1\.5 V throughout"):
         check_excitation([still], (COMMAND, ANGLE))
     check_excitation([still, record], (COMMAND, ANGLE))

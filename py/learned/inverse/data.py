@@ -6,12 +6,12 @@ r(u) = lim  y(t)   or   lim  dy/dt     for u held
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
+from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.provenance import made_from_rows
 from hydrotwin.models.language.units import si_unit
@@ -20,15 +20,11 @@ from hydrotwin.simulation import lower
 from hydrotwin.simulation.block import Block
 
 from ..integrating import integration
-from ..training_data import as_signals, level_and_error, named, slope_and_error, usable
+from ..training_data import as_signals, named, usable
 from .falling import Fall, fall_of_points, refuse_what_falls
+from .held import HeldBlock, Holding
 from .moving import moving_curve
-
-POSITIONS = ("m", "rad")  # of a Block or Model: outputs in these units move at a rate, others settle at a value
-FIRST_LEVELS, ROUNDS, LEVELS_PER_ROUND = 65, 3, 48
-LEAST_POINTS = 12
-COVERED = 0.8  # of the range of the command by steady stretches, or every sample counts
-UNSETTLED = {True: 0.1, False: 0.02}  # of the span of rates, of values: what the halves of a window may differ by
+from .stretches import LEAST_POINTS, Reading, covers, steady_points
 
 
 @dataclass(frozen=True)
@@ -88,7 +84,7 @@ def characteristic(
     output: Signal | str | None = None,
     *,
     rate: bool | None = None,
-    settle: float = 0.5,
+    settle: float | None = None,
     window: float | None = None,
     delay: float | None = None,
     steady: float = 0.03,
@@ -108,8 +104,9 @@ def characteristic(
     Args:
         source: a Record, several, a Block, a Model, or a Characteristic (which is answered as it is).
         rate: whether the output's rate of change is meant; None: where it integrates the input, as the recordings
-            tell; of a Block or Model, yes for outputs in m or rad.
-        settle, window: s before a point is taken and s it is averaged over (None: 0.5 s or 10 samples).
+            tell, or how a Block or Model goes on from two histories.
+        settle, window: s before a point is taken and s it is averaged over. None: half a second each, or less where
+            commands are held for less; settle longer, where the points scatter less then, or do not rest yet.
         delay: s of dead time by which a recorded answer lags its command; None: 0 for steady stretches, found from the
             recordings where every sample counts.
         moving: whether every sample counts; None: when the steady stretches are fewer than 12 or cover less than 0.8 of
@@ -137,9 +134,10 @@ def characteristic(
     run = {"limits": limits, "others": others, "start": start}
     _refuse_idle({"delay": delay, "moving": moving} if isinstance(source, Block) else run, isinstance(source, Block))
     if isinstance(source, Block):
-        return _of_block(source, input, output, rate, settle, window, limits, others or {}, start or {}, period)
+        held = HeldBlock(source, input, output, Holding(settle, window, limits, others, start))
+        return _of_block(held, rate, period)
     records = [source] if isinstance(source, Record) else list(source)
-    return _of_records(records, input, output, rate, settle, window, delay, steady, moving, period)
+    return _of_records(records, (input, output), rate, Reading(settle, window, delay, steady), moving, period)
 
 
 def _refuse_idle(options: Mapping[str, object], runs: bool) -> None:
@@ -160,173 +158,44 @@ def asked_signal(output: Signal, rate: bool) -> Signal:
 
 
 # -- from recordings -----------------------------------------------------------------------------------------------
-def _of_records(records, input, output, rate, settle, window, delay, steady, moving, period) -> Characteristic:
+def _of_records(records, signals, rate, reading: Reading, moving, period) -> Characteristic:
     if not records:
         raise DataError("characteristic: no recordings (got an empty list). Give at least one Record.")
-    (input,), (output,) = (as_signals([s], records[0], "signals") for s in (input, output))
+    (input,), (output,) = (as_signals([s], records[0], "signals") for s in signals)
     records = usable(all_unbroken(records, [input.name, output.name]), (input, output))
     rate = integration(records, (input,), (output,))[0].found if rate is None else rate
-    span = max(float(np.ptp(np.concatenate([r[input.name] for r in records]))), 1e-300)
-    window = window or max(0.5, 10 * max(r.period for r in records))
-    cut = [] if moving else [_stretches(r, input, output, rate, settle, window, delay or 0.0, steady * span)
-                             for r in records]  # fmt: skip
-    u, r, error = np.array([p for part in cut for p in part]).reshape(-1, 3).T
-    fall = None
-    told = {"trained_on": named(records), "steady_points": len(u), "settle": settle, "window": window,
-            "delay": delay or 0.0}  # fmt: skip
-    if moving or (moving is None and (len(u) < LEAST_POINTS or np.ptp(u) < COVERED * span)):
-        found = moving_curve(records, input, output, rate, delay)
-        refuse_what_falls(output.name, input.name, found.fall, float(np.ptp(found.rates)))
-        u, r, error, fall = found.commands, found.rates, found.sigma, found.fall
-        told = {"trained_on": named(records), "moving_points": len(u), "delay": found.dead_time}
-    elif not len(u):
+    every = np.concatenate([r[input.name] for r in records])
+    found = None if moving else steady_points(records, input, output, rate, reading)
+    enough = found is not None and covers(found.commands, float(np.ptp(every)))
+    if moving or (moving is None and not enough):
+        return _of_moving(records, input, output, rate, reading.delay, period)
+    if not len(found.commands):
         raise DataError(
-            f"characteristic of {output.name}: '{input.name}' is nowhere steady for {settle + window:g} s. "
+            f"characteristic of {output.name}: '{input.name}' is nowhere steady for {found.settle + found.window:g} s. "
             "Hold commands for longer, ramp more slowly, give a shorter settle and window, or moving=True."
         )
-    sigma = float(np.median(error))
-    return Characteristic(input, asked_signal(output, rate), u, r, sigma, period or records[0].period, told, fall)
+    told = {"trained_on": named(records), "steady_points": len(found.commands), "settle": found.settle,
+            "window": found.window, "delay": reading.delay or 0.0, "creeping": found.creeping}  # fmt: skip
+    asked, sigma = asked_signal(output, rate), float(np.median(found.errors))
+    return Characteristic(input, asked, found.commands, found.answers, sigma, period or records[0].period, told)
 
 
-def _stretches(record, input, output, rate, settle, window, delay, allowed):
-    """(command, rate, its standard error) of every steady stretch of a recording, one after the other."""
-    t, u, y = record.time, record[input.name], record[output.name]
-    before, begin, end = settle + delay, t[0] + settle + delay, t[-1] + 1e-9
-    while begin + window <= end:
-        first, low, high = np.searchsorted(t, np.array([begin - before, begin, begin + window]) - 1e-9)
-        wandering = np.flatnonzero(_spread_to_the_end(u[first:high]) > allowed)
-        if len(wandering):
-            begin = t[first + wandering[-1] + 1] + before
-            continue
-        begin += window
-        if high - low >= 4:
-            late = slice(*np.searchsorted(t, np.array([t[low] - delay, t[low] + window - delay]) - 1e-9))
-            yield float(u[late].mean()), *(slope_and_error if rate else level_and_error)(t[low:high], y[low:high])
-
-
-def _spread_to_the_end(values: np.ndarray) -> np.ndarray:
-    """Largest minus smallest of what follows, for every value of (n,)."""
-    back = values[::-1]
-    return (np.maximum.accumulate(back) - np.minimum.accumulate(back))[::-1]
+def _of_moving(records, input, output, rate, delay, period) -> Characteristic:
+    found = moving_curve(records, input, output, rate, delay)
+    refuse_what_falls(output.name, input.name, found.fall, float(np.ptp(found.rates)))
+    told = {"trained_on": named(records), "moving_points": len(found.commands), "delay": found.dead_time}
+    return Characteristic(
+        input, asked_signal(output, rate), found.commands, found.rates, found.sigma, period or records[0].period, told,
+        found.fall,
+    )  # fmt: skip
 
 
 # -- from a block --------------------------------------------------------------------------------------------------
-def _of_block(block, input, output, rate, settle, window, limits, others, start, period) -> Characteristic:
-    driven = _named(block.inputs, input, block.name, "input")
-    seen = _named(block.outputs, output, block.name, "output")
-    rate = block.outputs[seen].unit in POSITIONS if rate is None else rate
-    limits = limits or _limits(block, block.inputs[driven])
-    held = _Held(block, driven, seen, rate, settle, window or max(0.1, 4 * block.period), others, start)
-    levels = np.linspace(*limits, FIRST_LEVELS)
-    rates = held.answer(levels)
-    for _ in range(ROUNDS):
-        more = _where_it_bends(levels, rates)
-        levels, rates = np.append(levels, more), np.append(rates, held.answer(more))
-        order = np.argsort(levels)
-        levels, rates = levels[order], rates[order]
-    source = {"block": block.name, "steady_points": len(levels), "settle": settle, "others": dict(others)}
+def _of_block(held: HeldBlock, rate: bool | None, period: float | None) -> Characteristic:
+    block, rate = held.block, held.integrates() if rate is None else rate
+    levels, answers = held.answers(rate)
+    source = {"block": block.name, "steady_points": len(levels), "settle": held.settle, "others": dict(held.others),
+              "changing": held.changing}  # fmt: skip
     source |= {"trained_on": rows} if (rows := made_from_rows(block.provenance)) else {}
-    asked = asked_signal(block.outputs[seen], rate)
-    return Characteristic(block.inputs[driven], asked, levels, rates, 0.0, period or block.period, source)
-
-
-def _named(signals: Sequence[Signal], wanted: Signal | str, where: str, role: str) -> int:
-    names, name = [s.name for s in signals], getattr(wanted, "name", wanted)
-    if name not in names:
-        raise DeclarationError(f"{where}: no {role} '{name}'. {nearest(str(name), names)}")
-    return names.index(name)
-
-
-def _limits(block: Block, signal: Signal) -> tuple[float, float]:
-    if block.domain is not None and signal.name in block.domain.names:
-        k = block.domain.names.index(signal.name)
-        return block.domain.lower[k], block.domain.upper[k]
-    return -signal.nominal, signal.nominal
-
-
-def _where_it_bends(levels: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Midpoints of the intervals at whose ends the answer bends most."""
-    bend = np.zeros(len(levels))
-    between = np.interp(levels[1:-1], levels[::2], rates[::2])
-    between = np.where(np.arange(1, len(levels) - 1) % 2, between, np.interp(levels[1:-1], levels[1::2], rates[1::2]))
-    bend[1:-1] = np.abs(rates[1:-1] - between)
-    score = bend[:-1] + bend[1:]
-    chosen = np.sort(np.argsort(-score, kind="stable")[:LEVELS_PER_ROUND])
-    return 0.5 * (levels[chosen] + levels[chosen + 1])
-
-
-@dataclass(frozen=True)
-class _Held:
-    """A block whose one input is held at a level, everything else left alone."""
-
-    block: Block
-    driven: int
-    seen: int
-    rate: bool
-    settle: float
-    window: float
-    others: Mapping[str, float]
-    start: Mapping[str, float]
-
-    def answer(self, levels: np.ndarray) -> np.ndarray:
-        """Steady answers (n,) to ``levels`` (n,), each from the start state."""
-        block, n = self.block, len(levels)
-        u = np.zeros((len(block.inputs), n))
-        for name, value in self.others.items():
-            u[_named(block.inputs, name, block.name, "input")] = value
-        p = block.parameter_vector()
-        x = np.repeat(self._start(u[:, 0], p)[:, None], n, axis=1)
-        u[self.driven] = levels
-        together = block.step.map(n)
-        settling, measuring = (max(1, math.ceil(s / block.period - 1e-9)) for s in (self.settle, self.window))
-        history = []
-        for k in range(settling + measuring + 1):
-            x, y = (value.full() for value in together(x, u, np.repeat(p[:, None], n, axis=1)))
-            if k >= settling:
-                history.append(y[self.seen])
-        history = np.array(history)
-        self._check(history, levels)
-        half = len(history) // 2
-        if not self.rate:
-            parts = history[:half].mean(axis=0), history[half:].mean(axis=0)
-            self._check_settled(*parts)
-            return history.mean(axis=0)
-        steps = np.diff(history, axis=0) / block.period
-        self._check_settled(steps[:half].mean(axis=0), steps[half:].mean(axis=0))
-        return steps.mean(axis=0)
-
-    def _start(self, u: np.ndarray, p: np.ndarray) -> np.ndarray:
-        block, y = self.block, np.full(len(self.block.outputs), np.nan)
-        for k, signal in enumerate(block.outputs):
-            if signal.name in self.start:
-                y[k] = self.start[signal.name]
-            elif block.domain is not None and signal.name in block.domain.names:
-                at = block.domain.names.index(signal.name)
-                y[k] = 0.5 * (block.domain.lower[at] + block.domain.upper[at])
-        x = block.start(u, y, p).full().ravel()
-        for k, state in enumerate(block.states):
-            x[k] = self.start.get(state.name, x[k])
-            if not np.isfinite(x[k]):
-                raise DataError(
-                    f"{block.name}.{state.name}: the start is not known (got {x[k]}). "
-                    f"Give start={{'{state.measured_by or state.name}': ...}}."
-                )
-        return x
-
-    def _check(self, history: np.ndarray, levels: np.ndarray) -> None:
-        lost = ~np.isfinite(history).all(axis=0)
-        if lost.any():
-            raise DataError(
-                f"{self.block.name}: the answer to a held {self.block.inputs[self.driven].name} of "
-                f"{levels[np.argmax(lost)]:g} leaves the finite numbers. Give narrower limits, another start, or a "
-                "shorter settle."
-            )
-
-    def _check_settled(self, first: np.ndarray, second: np.ndarray) -> None:
-        change = float(np.abs(first - second).max()) if len(first) else 0.0
-        if change > UNSETTLED[self.rate] * max(float(np.ptp(second)), 1e-300):
-            raise DataError(
-                f"{self.block.name}: '{self.block.outputs[self.seen].name}' has not settled {self.settle:g} s after "
-                f"the command (it still changes by {change:.3g} within the window). Give a longer settle"
-                f"{'' if self.rate else ', or rate=True if it never settles'}."
-            )
+    asked = asked_signal(block.outputs[held.seen], rate)
+    return Characteristic(block.inputs[held.driven], asked, levels, answers, 0.0, period or block.period, source)

@@ -26,8 +26,10 @@ from ..report_card import BLOCK, MEAN, STEADY, Row, Words, carded, further, show
 from ..verdicts import rms_of
 from .compensator import DesiredCurve, desired_curve, learn_compensator
 from .curve import GRID, static_answer
-from .data import COVERED, LEAST_POINTS, Characteristic, characteristic
+from .data import Characteristic, characteristic
+from .held import UNSETTLED
 from .learn import learn_inverse
+from .stretches import COVERED, LEAST_POINTS
 
 EVERY = 5  # of the points, in the order of their commands, one is left out
 LINE, ALONE = "a straight line", "the machine alone"  # the second is beside a compensator only
@@ -98,10 +100,10 @@ def _carded(block: LearnedBlock, forward: Characteristic, given: tuple, learning
     except DeclarationError:
         raise
     except HydrotwinError as error:
-        told = unknown(f"{error} How well it holds at other commands is not known.", Words(_falling(forward)))
+        told = unknown(f"{error} How well it holds at other commands is not known.", Words(_wrong(forward)))
     except KeyboardInterrupt:  # the block is learnt: it is not lost because nobody waits for its card
         why = "the card was interrupted. How well it holds at other commands is not known."
-        told = unknown(why, Words(_falling(forward)))
+        told = unknown(why, Words(_wrong(forward)))
     return replace(block, provenance={**block.provenance, STEADY: told})
 
 
@@ -148,8 +150,12 @@ def _card(inverse: LearnedBlock, apart: _Apart, forward: Characteristic, curve: 
     )  # fmt: skip
     held = {"points": int(asked.sum()), "which": apart.words}
     good = f"At {held['points']} {apart.words}, RMS error of {row.said()}."
-    bad = [*_falling(forward), *_uncovered(apart, forward)]
+    bad = [*_wrong(forward), *_uncovered(apart, forward)]
     return carded([row], Words(bad, _noise(forward)), [held], [good])
+
+
+def _wrong(forward: Characteristic) -> list[str]:
+    return [*_creeping(forward), *_changing(forward), *_falling(forward)]
 
 
 def _falling(forward: Characteristic) -> list[str]:
@@ -158,10 +164,37 @@ def _falling(forward: Characteristic) -> list[str]:
     if fall is None:
         return []
     rate = judged_signal(forward.rate)
+    unless = "Unless this comes of points that have not settled: f" if forward.source.get("creeping") else "F"
     return [
-        f"From {shown(fall.begin, u)} to {shown(fall.end, u)} of {forward.input.name}, {rate.name} falls by "
+        f"{unless}rom {shown(fall.begin, u)} to {shown(fall.end, u)} of {forward.input.name}, {rate.name} falls by "
         f"{shown(fall.by, rate.unit)} ({100 * fall.share:.2g} % of its range): there is no inverse there, and this one "
         "holds a mean. Leave those commands out of the recordings, or make the machine rise."
+    ]
+
+
+def _creeping(forward: Characteristic) -> list[str]:
+    """Where the recordings do not hold commands until the machine rests: points left out creep as those learnt from."""
+    by, settle = forward.source.get("creeping", 0.0), forward.source.get("settle")
+    if not by:
+        return []
+    rate = judged_signal(forward.rate)
+    return [
+        f"{rate.name} has not settled where the commands end: {shown(settle, 's')} after a step its points still "
+        f"scatter less than before, by {shown(by, rate.unit)}, and commands are not held for longer. The inverse is "
+        "late by about that much. Hold every command until the machine rests."
+    ]
+
+
+def _changing(forward: Characteristic) -> list[str]:
+    """Where the rates of a block depend on where it stands, or come late."""
+    by, settle, span = forward.source.get("changing", 0.0), forward.source.get("settle"), float(np.ptp(forward.rates))
+    if not by > UNSETTLED[True] * span:
+        return []
+    rate = judged_signal(forward.rate)
+    return [
+        f"Held for twice {shown(settle, 's')}, {rate.name} changes by up to {shown(by, rate.unit)} "
+        f"({100 * by / span:.2g} % of its range): it depends on where the machine stands, or comes late. "
+        "The inverse holds near the start alone. Give the start where it is to be used, or a longer settle."
     ]
 
 

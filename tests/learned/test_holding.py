@@ -1,0 +1,109 @@
+"""Whether what is held has settled: of blocks and of recordings, of what integrates and what does not, in any unit."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from hydrotwin.learned import characteristic
+from hydrotwin.learned.inverse.judging import judged_inverse
+from hydrotwin.models.language.errors import DataError
+from hydrotwin.models.language.flat import Signal, StateVariable
+from hydrotwin.models.spool_valve import quasi_static
+from hydrotwin.records import Record
+from hydrotwin.simulation import lower
+from hydrotwin.simulation.block import Block
+
+PERIOD, COMMAND = 0.01, Signal("u", "V")
+START = {"y": 0.0}
+
+
+def bent(u):
+    return u + 0.3 * u**3
+
+
+def block(rate, unit: str, least: float = -np.inf, most: float = np.inf) -> Block:
+    """y' = rate(y, u), kept between two limits."""
+    x, u, p, y = ca.SX.sym("x"), ca.SX.sym("u"), ca.SX.sym("p", 0), ca.SX.sym("y")
+    moved = ca.fmin(ca.fmax(x + PERIOD * rate(x, u), least), most)
+    step = ca.Function("step", [x, u, p], [moved, x], ["x", "u", "p"], ["x_next", "y"])
+    start = ca.Function("start", [u, y, p], [y], ["u", "y", "p"], ["x"])
+    state = StateVariable("y", unit, measured_by="y")
+    return Block("machine", (COMMAND,), (Signal("y", unit),), (state,), (), step, start, PERIOD)
+
+
+def staircase(seconds: float, lag: float, *, integral=False, noise=0.0, unit="Pa", count=40) -> Record:
+    """Random commands held for ``seconds`` each; a machine that follows `bent` with a lag [s], or its integral."""
+    random = np.random.default_rng(0)
+    u = np.repeat(random.uniform(-1, 1, count), round(seconds / PERIOD))
+    y, x, kept = np.zeros(len(u)), bent(u[0]), np.exp(-PERIOD / lag)
+    for k in range(len(u)):
+        y[k], x = x, kept * x + (1 - kept) * bent(u[k])
+    y = PERIOD * np.cumsum(y) if integral else y
+    return Record(
+        PERIOD * np.arange(len(u)), {"u": u, "y": y + noise * random.normal(size=len(u))}, {"u": "V", "y": unit}
+    )
+
+
+def worst(found) -> float:
+    return float(np.abs(found.rates - bent(found.commands)).max())
+
+
+# -- blocks --------------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("unit", ["m", "rad", "V", "Pa"])
+@pytest.mark.parametrize("lag", [0.03, 0.1, 2.0])
+def test_a_block_whose_output_settles_gives_its_level_whatever_its_unit(unit, lag):
+    found = characteristic(block(lambda y, u: (bent(u) - y) / lag, unit), "u", "y", start=START)
+    assert found.rate.name == "wanted_y" and worst(found) < 0.03
+    assert (found.source["settle"] > 0.5) == (lag > 0.1), "as long as it takes"
+
+
+@pytest.mark.parametrize("unit", ["m", "rad", "V", "Pa"])
+@pytest.mark.parametrize("most", [np.inf, 1.0])
+def test_a_block_whose_output_integrates_gives_its_rate_whatever_its_unit(unit, most):
+    found = characteristic(block(lambda y, u: bent(u), unit, -most, most), "u", "y", start=START, settle=0.2)
+    assert found.rate.name == "wanted_y_rate" and worst(found) < 1e-9
+
+
+def test_a_limit_that_the_output_reaches_is_told_as_one():
+    machine = block(lambda y, u: bent(u), "m", -0.3, 0.3)
+    with pytest.raises(DataError, match=r"stands at -0\.3 m while 'u' is held at -1 V: it reached a limit"):
+        characteristic(machine, "u", "y", start=START)
+
+
+def test_what_a_closed_valve_traps_is_no_integral():
+    model = lower(quasi_static(), PERIOD)
+    assert characteristic(model, "current", "spool").rate.name == "wanted_spool"
+    assert characteristic(model, "current", "position").rate.name == "wanted_position_rate"
+
+
+def test_what_never_settles_is_said_to_and_the_given_time_is_kept():
+    machine = block(lambda y, u: bent(u) - 0.02 * y, "m")
+    with pytest.raises(DataError, match="has not settled 1 s after"):
+        characteristic(machine, "u", "y", start=START, settle=1.0, rate=False)
+
+
+def test_rates_that_depend_on_where_the_machine_stands_are_told():
+    learnt = judged_inverse(block(lambda y, u: bent(u) * (1 + 0.5 * y), "m"), "u", "y", start=START)
+    assert "it depends on where the machine stands, or comes late" in learnt.provenance["held_out"]["says"]
+
+
+# -- recordings ----------------------------------------------------------------------------------------------------
+@pytest.mark.parametrize("integral", [False, True])
+@pytest.mark.parametrize(("seconds", "lag", "allowed"), [(3.0, 0.3, 0.05), (2.0, 0.05, 0.01), (0.4, 0.02, 0.03)])
+def test_recordings_are_read_once_the_machine_has_settled(seconds, lag, allowed, integral):
+    found = characteristic(staircase(seconds, lag, integral=integral), "u", "y", rate=integral)
+    assert worst(found) < allowed and not found.source["creeping"]
+    assert found.fell is None
+
+
+@pytest.mark.parametrize(("seconds", "lag"), [(1.2, 0.3), (0.4, 0.1), (4.0, 1.0)])
+def test_commands_that_end_before_the_machine_rests_are_told_and_not_blamed_on_it(seconds, lag):
+    learnt = judged_inverse(staircase(seconds, lag, noise=0.003), "u", "y")
+    told = learnt.provenance["held_out"]["says"]
+    assert told.startswith("y has not settled where the commands end")
+
+
+def test_a_time_that_is_given_is_taken():
+    assert characteristic(staircase(3.0, 0.3), "u", "y", settle=0.7, window=0.3).source["settle"] == 0.7

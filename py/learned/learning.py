@@ -22,6 +22,7 @@ from .hybrid.block import hybrid_outputs
 from .hybrid.learn import learn_hybrid
 from .importance import idle, importance
 from .interruption import INTERRUPTED
+from .leaving import FAR, leaves, leaves_said
 from .linear.arx import learn_arx
 from .linear.learn import learn_linear
 from .network.learn import train_network
@@ -236,7 +237,17 @@ def _card(block: Block, split: held_out.Split, records: Sequence[Record], named,
     worth = importance(block, split.parts, named[1])
     unused = idle(worth, {row.output.name: row.rmse for row in rows})
     notes += [f"Without {name} it runs as well: leave it out, or record it moving more." for name in unused]
+    if not any(row.diverged for row in rows):
+        bad, notes = ([*before, *more] for before, more in zip((bad, notes), _outside(block, split), strict=True))
     return card(split, rows, Words(bad, notes, repeats(split, named[0]))) | ({"inputs": worth} if worth else {})
+
+
+def _outside(block: Block, split: held_out.Split) -> tuple[list[str], list[str]]:
+    """Bad news and notes: how much of the free runs lies outside of what the block was trained on."""
+    runs = held_out.through(lambda record: simulate(block, record), split.parts)
+    found = leaves(block, split.held_out, runs)
+    said = [leaves_said(found, "what was held out")] if found else []
+    return (said, []) if found.get("share", 0.0) >= FAR else ([], said)
 
 
 def _of_ending(block: Block) -> list[str]:

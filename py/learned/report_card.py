@@ -39,6 +39,7 @@ REPEATS = (
     "What was held out repeats commands that were trained on: it cannot tell how good the block is at other "
     "commands, beside ARX or anything else. Record some that do not repeat, last."
 )
+MARGIN = f", for less than {100 * (1 - BETTER):.2g} % apart is alike"
 RUN, STEADY = "free_run", "held_out"  # of the provenance: the card of what runs, and of what is steady
 FREE, ONE_STEP = "free_run", "one_step"
 BLOCK = "the block"  # in `Row.stretches`
@@ -165,9 +166,11 @@ def unknown(why: str, words: Words) -> dict:
 def carded(rows: Sequence[Row], words: Words, held_out: Sequence[Mapping], found: Sequence[str]) -> dict:
     """A card of rows: what they say against the block first, then what was found, then the notes."""
     worse = {row.output.name: row.no_better_than for row in rows if row.no_better_than}
+    close = {row.output.name for row in rows if any(row.rmse < row.yardsticks[n] for n in row.no_better_than)}
     bad = [*words.bad, *([REPEATS] if words.repeats else [])]
     bad += [f"Of {row.output.name} the block {row.diverged}." for row in rows if row.diverged]
-    bad += [f"Of {name} the block is no better than {' or '.join(than)}." for name, than in worse.items()]
+    bad += [f"Of {name} the block is no better than {' or '.join(than)}{MARGIN if name in close else ''}."
+            for name, than in worse.items()]  # fmt: skip
     for row in (row for row in rows if row.cannot_tell):
         than = " or ".join(row.undecided(name) for name in row.cannot_tell)
         bad.append(f"Of {row.output.name} the recordings cannot tell whether the block is better than {than}.")

@@ -13,14 +13,14 @@ from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
 from .bands import WIDE, known_bands
+from .leaving import FAR, leaves, leaves_said
 from .report_card import constant, shown
-from .training_data import domain_share, named
+from .training_data import named
 from .verdicts import BETTER
 
 ERRORS, RECORDINGS = "validation", "validated_on"  # keys of the provenance
 BESIDE, BEYOND, INSIDE = "validation_beside", "validation_beyond", "validation_coverage"
 FIRST = "holding the first sample"  # the yardstick of a run that begins where the recording does
-OUTSIDE, FAR = 0.01, 0.1  # share of samples outside of what was trained on: from which on it is told, and is bad news
 FEW_INSIDE = 0.75  # of a 95 % band: less is hardly a draw of a right one, however alike the misses are
 Run = Callable[[Record], Record]
 
@@ -72,7 +72,8 @@ def validated(
     told = {ERRORS: _errors(run, runs, outputs), RECORDINGS: named(validate)}
     told |= {INSIDE: inside} if (inside := _inside(block, run, runs, outputs)) else {}
     told[BESIDE] = dict(beside or _beside(rivals or {}, runs, outputs))
-    told |= {BEYOND: beyond} if (beyond := _beyond(block, runs)) else {}
+    own = [run(r) for r in runs] if told[ERRORS] and np.isfinite(list(told[ERRORS].values())).all() else []
+    told |= {BEYOND: beyond} if (beyond := leaves(block, runs, own)) else {}
     return replace(block, provenance={**block.provenance, **told})
 
 
@@ -122,16 +123,6 @@ def _inside(block: Block, run: Run, records: Sequence[Record], outputs: Sequence
     return found
 
 
-def _beyond(block: Block, records: Sequence[Record]) -> dict:
-    """How much of recordings lies outside of what the block was trained on, and by which signals; {} where hardly."""
-    if block.domain is None:
-        return {}
-    shares = [domain_share(block, record) for record in records]
-    outside = 1 - float(np.average([s.inside for s in shares], weights=[len(r) for r in records]))
-    names = dict.fromkeys(name for share in shares for name in share.beyond)
-    return {"share": outside, "signals": list(names)} if outside >= OUTSIDE else {}
-
-
 def as_card(block: Block) -> dict:
     """RMS error and that of the yardsticks by output, in the form of a report card; {} where nothing was validated."""
     errors, beside_ = block.provenance.get(ERRORS), block.provenance.get(BESIDE, {})
@@ -167,7 +158,7 @@ def sentence(block: Block) -> str:
     where = "recording" if count == 1 else "recordings"
     good = f"Free run over {count} validation {where}, which took no part: RMS error of {', '.join(rows)}."
     bands = [_band_said(name, inside) for name, inside in told.get(INSIDE, {}).items()]
-    return " ".join(filter(None, [_worse_said(block), good, *bands, _beyond_said(told.get(BEYOND))]))
+    return " ".join(filter(None, [_worse_said(block), good, *bands, leaves_said(told.get(BEYOND), "that")]))
 
 
 def _band_said(name: str, inside: float) -> str:
@@ -180,16 +171,6 @@ def _worse_said(block: Block) -> str:
         f"of {name} the block is no better than {' or '.join(than)}" for name, than in no_better_than(block).items()
     ]
     return f"On what it was to be validated with, {', and '.join(words)}." if words else ""
-
-
-def _beyond_said(beyond: Mapping | None) -> str:
-    if not beyond:
-        return ""
-    names = beyond["signals"]
-    return (
-        f"It extrapolates in {100 * beyond['share']:.3g} % of that: {' and '.join(names)} "
-        f"leave{'' if len(names) > 1 else 's'} what it was trained on."
-    )
 
 
 def _said(name: str, error: float, rivals: Mapping[str, float], unit: str) -> str:

@@ -11,7 +11,7 @@ import pytest
 import hydrotwin as ht
 from hydrotwin.learned import learning, read_block, write_block
 from hydrotwin.learned.held_out import Part, split, through
-from hydrotwin.learned.report_card import Row, yardsticks
+from hydrotwin.learned.report_card import Row, Words, carded, yardsticks
 from hydrotwin.models.language.errors import DataError, DeclarationError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
@@ -311,3 +311,23 @@ def test_a_band_that_does_not_hold_is_said_whatever_it_is_made_of(source):
     assert out.band_said() == "The 95 % band of y holds 87.7 % of what was held out: do not rely on it."
     assert replace(out, band={**out.band, "trustworthy": True, "coverage": 0.95}).band_said() == ""
     assert replace(out, band={}).band_said() == ""
+
+
+@pytest.mark.parametrize(("grow", "first"), [(1.0, False), (4.0, True)])
+def test_a_run_outside_of_what_was_trained_on_is_said_and_first_where_it_is_most(grow, first):
+    """The command of what is held out is larger; the block stands at its limits there."""
+
+    def machine(u):
+        return settled(np.where(np.arange(len(u)) > 0.8 * len(u), grow, 1.0) * u, 0.1)
+
+    records = [recording(machine, k, noise=3e-3) for k in (1, 2)]
+    records = [r.with_signals({"u": np.where(np.arange(len(r)) > 0.8 * len(r), grow, 1.0) * r["u"]}) for r in records]
+    says = card(learning.learn("narx", records, ["u"], ["y"]))["says"]
+    assert says.startswith("It extrapolates in") == first
+    assert first or "It extrapolates" not in says
+
+
+def test_alike_is_said_to_be_alike():
+    rows = [Row(Signal("y", "m"), error, 1.0, {"ARX": 1.0}) for error in (0.97, 1.2)]
+    told = [carded([row], Words(), [], [])["says"] for row in rows]
+    assert "less than 5 % apart is alike" in told[0] and "alike" not in told[1]

@@ -23,9 +23,10 @@ from hydrotwin.learned.symbolic.block import (
     Formula,
     evaluate,
 )
-from hydrotwin.learned.symbolic.data import is_static, prepare_static
+from hydrotwin.learned.symbolic.data import prepare_static
 from hydrotwin.learned.symbolic.refit import StaticRun
 from hydrotwin.learned.symbolic.static_block import STATIC
+from hydrotwin.learned.symbolic.static_data import is_static
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record

@@ -24,7 +24,6 @@ CENTRE_FROM = 10.0  # spreads: a mean beyond this is taken out of a static signa
 PLAIN = (0.1, 100.0)  # spreads of a static signal that need no scale: its formula reads in the unit itself
 FOLDS = 5  # at least: recordings, in so many groups where they are more, or parts of fewer ones, that judge constants
 # fitted to the others. What another recording shows is what is asked for; of three folds chance tells nothing
-HELPS = 0.95  # of the error without: what the sample before must leave, where an output has dynamics
 
 
 @dataclass(frozen=True)
@@ -171,35 +170,6 @@ def prepare_static(
     series = [Series(normal("input", a), normal("output", b)) for a, b in parts]
     pieces = [Piece(i, 0, len(s.y), True) for i, s in enumerate(series)]
     return Prepared(StaticShape(len(inputs), len(outputs)), scales, series, pieces[:1], [(pieces[:1], pieces[1:])])
-
-
-def is_static(records: Sequence[Record], inputs: Sequence[Signal], outputs: Sequence[Signal]) -> bool:
-    """Whether the samples before tell nothing about an output beside the inputs of its own moment.
-
-    Least squares of every output on a second-order polynomial of the inputs, without and with all signals one sample
-    before; errors on the last fifth. Samples in a random order have no past; a slow sweep through a static law has one,
-    and is asked for with ``static=True``.
-    """
-    alone, before, target, last = [], [], [], []
-    for record in records:
-        u, y = _array(record, inputs), _array(record, outputs)
-        u, y = ((v - v.mean(axis=0)) / np.where(v.std(axis=0) > 0, v.std(axis=0), 1.0) for v in (u, y))
-        squares = [u[:, [i]] * u[:, [j]] for i in range(u.shape[1]) for j in range(i, u.shape[1])]
-        alone.append(np.hstack([np.ones((len(u), 1)), u, *squares])[1:])
-        before.append(np.hstack([u, y])[:-1])
-        target.append(y[1:])
-        last.append(np.arange(len(u) - 1) >= (1 - HELD_OUT) * (len(u) - 1))
-    alone, before, target, last = (np.concatenate(part) for part in (alone, before, target, last))
-    if 5 * (alone.shape[1] + before.shape[1]) > len(target):
-        return False
-    without, with_past = (_misses(A, target, last) for A in (alone, np.hstack([alone, before])))
-    return bool(np.all(with_past > HELPS * without))
-
-
-def _misses(A: np.ndarray, target: np.ndarray, last: np.ndarray) -> np.ndarray:
-    """RMS (ny,) on the rows ``last`` of least squares on all others."""
-    found = np.linalg.lstsq(A[~last], target[~last], rcond=None)[0]
-    return np.sqrt(np.mean((target[last] - A[last] @ found) ** 2, axis=0))
 
 
 def _array(record: Record, signals: Sequence[Signal]) -> np.ndarray:

@@ -22,7 +22,8 @@ from ..steady import steady_where_it_integrates
 from ..substeps import chosen_substeps, with_steps
 from ..training_data import checked_recordings, named, usable
 from .block import SUBTRACT, VARIABLE, Formula
-from .data import Prepared, is_static, prepare, prepare_static
+from .data import Prepared, prepare, prepare_static
+from .static_data import is_static
 
 FITS = ("default", "paper")
 NODES = {False: 20, True: 40}  # of a formula in the search, whether it is static: one that runs freely must be short

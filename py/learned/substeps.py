@@ -12,7 +12,7 @@ from hydrotwin.records import Record
 
 from .block_file import LearnedBlock, assemble, kind_of
 from .substeps_step import STEPS, substep_states
-from .training_data import on_period, resolved
+from .training_data import on_period, recorded_period, resolved
 
 KEPT = ("name", "inputs", "outputs", "parameters", "domain", "description", "provenance", "certificate")
 EVEN = 1e-3  # of a sampling period: a period that is so near to a whole number of them has that many
@@ -24,7 +24,7 @@ def chosen_substeps(asked: int | None, period: float | None, records, inputs: Se
     Raises DeclarationError where as many samples of the recordings as were asked for are not the period.
     """
     if asked is not None:
-        recorded = max(r.period for r in records)
+        recorded = recorded_period(records)
         if asked > 1 and abs(at - asked * recorded) > EVEN * recorded:
             raise DeclarationError(
                 f"learn: substeps={asked} are {asked * recorded:.6g} s of the recordings, the period is {at:.6g} s. "
@@ -40,7 +40,7 @@ def substeps_of(records: Sequence[Record], inputs: Sequence[Signal], period: flo
     They show it where linear interpolation loses nothing worth having (`resolved`). Recordings that are not even, or
     not whole parts of the period, have one step.
     """
-    recorded = max(r.period for r in records)
+    recorded = recorded_period(records)
     steps = round(period / recorded)
     alike = all(r.uniform and abs(r.period - recorded) <= EVEN * recorded for r in records)
     if steps < 2 or not alike or abs(period - steps * recorded) > EVEN * recorded:

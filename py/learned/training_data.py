@@ -10,11 +10,12 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.models.language.provenance import MADE_FROM, SAMPLES
-from hydrotwin.records import Record, noise_floor, require, row_of
+from hydrotwin.records import Record, noise_floor, require, row_of, tidy
 from hydrotwin.simulation.block import ON_THE_EDGE, Block, TrainingDomain
 
 RESOLUTION = 2e-3  # of a signal's range: what linear interpolation at the chosen period may lose
 MANY = 20_000  # samples over all recordings that are run over for every candidate; more cost minutes for each
+ALIKE = 1e-3  # of a period: sampling periods that differ by no more are one, whose times are rounded
 HELD_OUT = 0.2  # of every recording, when no recordings are given for selection
 LIMIT_OVER_SEEN = 2.0  # bound of an increment over the largest seen in training
 ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
@@ -134,25 +135,36 @@ def check_excitation(records: Sequence[Record], signals: Sequence[Signal]) -> No
             )
 
 
+def recorded_period(records: Sequence[Record]) -> float:
+    """The sampling period [s] of recordings: of all together where they are even and alike, else the longest.
+
+    The longer the time, the less it matters that its ends are rounded.
+    """
+    longest = max(r.period for r in records)
+    if not all(r.uniform and longest - r.period <= ALIKE * longest for r in records):
+        return longest
+    return tidy(sum(r.time[-1] - r.time[0] for r in records) / sum(len(r) - 1 for r in records))
+
+
 def choose_period(records: Sequence[Record]) -> float:
     """The longest period [s], a whole number of sampling periods, that loses nothing worth having.
 
     Linear interpolation between the samples kept must stay within twice the noise floor, or within 0.2 % of the
     range of each signal (RMS), whichever is more.
     """
-    recorded = max(r.period for r in records)
+    recorded = recorded_period(records)
     chosen = recorded
     for factor in (2, 3, 4, 5, 8, 10, 16, 20, 32, 50):
         if not all(resolved(r, factor * recorded) for r in records):
             break
         chosen = factor * recorded
-    return float(f"{chosen:.9g}")  # the median of printed times carries rounding
+    return tidy(chosen)
 
 
 def finest_period(records: Sequence[Record], recorded: float) -> float:
     """The shortest whole multiple of ``recorded`` [s] at which the recordings are no more than `MANY` samples."""
     total = sum(r.duration for r in records)
-    return float(f"{recorded * max(1, int(np.ceil(total / recorded / MANY))):.9g}")
+    return tidy(recorded * max(1, int(np.ceil(total / recorded / MANY))))
 
 
 def resolved(record: Record, period: float) -> bool:
@@ -172,7 +184,7 @@ def resolved(record: Record, period: float) -> bool:
 
 def on_period(record: Record, period: float, inputs: Sequence[Signal]) -> Record:
     """The recording at the block's period, as a run of the block sees it (held inputs held)."""
-    if record.uniform and abs(record.period - period) <= 1e-6 * period:
+    if record.on_grid(period):
         return record
     return record.resample(period, hold=[s.name for s in inputs if s.held])
 

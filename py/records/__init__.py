@@ -5,7 +5,7 @@ from .filters import one_euro, savitzky_golay
 from .marks import follows, row_of
 from .noise import NoiseFloor, noise_floor
 from .reading import Reading, import_from, import_text, reading_of
-from .record import EXACT, Gap, Record, Whole, distinct, gaps_of
+from .record import EXACT, Gap, Record, Whole, distinct, gaps_of, tidy
 from .require import (
     as_needed,
     copies,
@@ -16,13 +16,14 @@ from .require import (
     shares_samples,
     without_unknown,
 )
-from .resampling import steps_over
+from .resampling import NEAR, steps_over
 from .scale import Scale, parse_scale
 from .turning import turned_back
 from .unbroken import all_unbroken, cuts, joined, unbroken
 
 __all__ = [
     "EXACT",
+    "NEAR",
     "SUFFIXES",
     "WRITTEN",
     "Gap",
@@ -54,6 +55,7 @@ __all__ = [
     "savitzky_golay",
     "shares_samples",
     "steps_over",
+    "tidy",
     "turned_back",
     "unbroken",
     "without_unknown",

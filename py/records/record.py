@@ -19,7 +19,13 @@ from .steps import few_lost, holes_at
 from .turning import turned_back
 
 TOLD = 5  # gaps in time that are named one by one
+PERIOD_DIGITS = 13
 EXACT = 1e15  # below it a number keeps every digit that a file writes
+
+
+def tidy(period: float) -> float:
+    """Seconds without what arithmetic leaves in the last digits; a third of a period is good for a million steps."""
+    return float(f"{period:.{PERIOD_DIGITS}g}")
 
 
 @dataclass(frozen=True)
@@ -202,14 +208,23 @@ class Record:
 
     @cached_property
     def period(self) -> float:
-        """Median time step [s]; NaN for fewer than two samples."""
-        return float(np.median(np.diff(self.time))) if len(self) > 1 else float("nan")
+        """Time step [s]: the mean where sampling is even, for printed times are rounded, else the median.
+
+        NaN for fewer than two samples.
+        """
+        if len(self) < 2:
+            return float("nan")
+        return tidy((self.time[-1] - self.time[0]) / (len(self) - 1) if self.uniform else np.median(np.diff(self.time)))
 
     @cached_property
     def uniform(self) -> bool:
-        """Whether every sample lies within 1 % of a step of an even grid."""
-        even = np.linspace(self.time[0], self.time[-1], len(self)) if len(self) else self.time
-        return len(self) < 3 or bool(np.abs(self.time - even).max() <= 0.01 * self.period)
+        """Whether every sample lies on an even grid, as near as printed times do (`resampling.NEAR`)."""
+        return len(self) < 3 or self.on_grid((self.time[-1] - self.time[0]) / (len(self) - 1))
+
+    def on_grid(self, period: float) -> bool:
+        """Whether the samples are those of an even grid of this period [s] from the first one on."""
+        away = np.abs(self.time - self.time[0] - period * np.arange(len(self))) if len(self) else np.zeros(1)
+        return bool(away.max() <= resampling.NEAR * period)
 
     @cached_property
     def gaps(self) -> tuple[Gap, ...]:

@@ -9,6 +9,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError
 
 ROUNDING = 1e-5  # of a step: two times closer than this are the same instant
+NEAR = 0.04  # of a step: as near to a sample is that sample, for printed times are rounded; FMUs have it, too
 MOST_STEPS = 1e8  # of one run or one time axis: minutes of a fast model, 0.8 GB a column
 
 
@@ -35,7 +36,7 @@ def new_time_axis(time: np.ndarray, period: float | None, times: Sequence[float]
         steps = int(np.floor(steps_over(time[-1] - time[0], period, name) * (1 + 1e-12) + ROUNDING))
         return np.minimum(time[0] + period * np.arange(steps + 1), time[-1])
     new_time = np.asarray(times, dtype=float)
-    slack = ROUNDING * np.median(np.diff(time)) if len(time) > 1 else 0.0
+    slack = NEAR * np.median(np.diff(time)) if len(time) > 1 else 0.0
     if len(new_time) and (new_time.min() < time[0] - slack or new_time.max() > time[-1] + slack):
         raise DataError(
             f"{name}: times outside the record (got {new_time.min():g} s to {new_time.max():g} s). "
@@ -45,8 +46,8 @@ def new_time_axis(time: np.ndarray, period: float | None, times: Sequence[float]
 
 
 def hold(time: np.ndarray, values: np.ndarray, new_time: np.ndarray) -> np.ndarray:
-    """The last sample at or before each new time (zero-order hold); times a rounding error early count as reached."""
-    slack = ROUNDING * np.median(np.diff(time)) if len(time) > 1 else 0.0
+    """The last sample at or before each new time (zero-order hold); what is early by a rounding (`NEAR`) is reached."""
+    slack = NEAR * np.median(np.diff(time)) if len(time) > 1 else 0.0
     at = np.searchsorted(time, np.asarray(new_time) + slack, side="right") - 1
     return values[np.clip(at, 0, len(values) - 1)]
 

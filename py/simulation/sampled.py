@@ -7,31 +7,30 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError
-from hydrotwin.records import steps_over
+from hydrotwin.records import NEAR, steps_over
 
 from . import inputs
 from .block import Block
 from .stops import Diverged
 
 CHUNK = 400  # samples per call of the interpreter, at most
-SLACK = 1e-6  # of a period: a sample of the recording this near is due, as in an FMU
 
 
 def sample_grid(block: Block, time: np.ndarray) -> np.ndarray:
     """The block's own sample times over a recording; ``time`` itself when it already is that grid."""
-    steps = max(int(np.ceil(steps_over(time[-1] - time[0], block.period, block.name) - 1e-6)), 0)
+    steps = max(int(np.ceil(steps_over(time[-1] - time[0], block.period, block.name) - NEAR)), 0)
     grid = time[0] + block.period * np.arange(steps + 1)
-    on_grid = len(grid) == len(time) and np.abs(grid - time).max() < 1e-3 * block.period
+    on_grid = len(grid) == len(time) and np.abs(grid - time).max() < NEAR * block.period
     return time if on_grid else grid
 
 
 def sampled_inputs(block: Block, time: np.ndarray, u: np.ndarray, grid: np.ndarray) -> np.ndarray:
     """Inputs (m, nu) at the block's samples: the held or the linear value there, the last one after the end.
 
-    A period that is a third of the recording's is a rounded number: at what is a sample but for that, it is the sample.
+    Printed times and periods are rounded: what is a sample but for that is the sample (`NEAR`).
     """
-    near = time[np.minimum(np.searchsorted(time, grid - SLACK * block.period), len(time) - 1)]
-    grid = np.where(np.abs(near - grid) < SLACK * block.period, near, grid)
+    near = time[np.minimum(np.searchsorted(time, grid - NEAR * block.period), len(time) - 1)]
+    grid = np.where(np.abs(near - grid) < NEAR * block.period, near, grid)
     columns = [inputs.at(time, u[:, j], grid, not s.held, "right") for j, s in enumerate(block.inputs)]
     return np.column_stack(columns) if columns else np.empty((len(grid), 0))
 
@@ -77,7 +76,7 @@ def predict_block(
     interpolated towards the next sample.
     """
     y = np.empty((len(grid), len(block.outputs)))
-    sampled_at = np.unique(np.clip(np.searchsorted(grid, time - SLACK * block.period), 0, len(grid) - 1))
+    sampled_at = np.unique(np.clip(np.searchsorted(grid, time - NEAR * block.period), 0, len(grid) - 1))
     until = np.append(sampled_at[1:], len(grid) - 1)
     state = corrected[sampled_at]
     for k in range(int((until - sampled_at).max(initial=0))):

@@ -14,6 +14,7 @@ from .shared import mark, out
 CARD = {"rmse": "rmse", "mae": "mae", "max": "maximum", "bias": "bias"}  # metric -> field of the card, SI
 STEADY = (*CARD, "nrmse", "fit")  # of an inverse: it has no band
 JUDGED = (*STEADY, "coverage")
+DOUBTED = "read what the card says against the block"  # of a criterion that holds all the same
 HELD_OUT, VALIDATED = "on what was held out", "on the recordings to validate with"  # where a criterion has to hold
 NOT_VALIDATED = "judged on what was held out alone, for of the recordings to validate with only RMS errors are known."
 
@@ -104,6 +105,7 @@ def accepted(asked: Sequence, block, silent: bool) -> bool:
             if not silent:
                 word, style = ("PASS", "green") if found.passed else ("FAIL", "red")
                 place = f", {where}" if len(places) > 1 else ""
+                place += f"; {DOUBTED}" if found.passed and card.get("bad") else ""
                 mark(out, word, f"{found.criterion.text}: {found_told(found)}, {margin_told(found)}{place}", style)
     return good
 

@@ -9,9 +9,9 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, tidy
 
-from ..training_data import choose_period, finest_period
+from ..training_data import choose_period, finest_period, recorded_period
 from .feedback_run import Lags
 from .feedback_training import Data, Effort, Form, Trained, at_period, prepared, stages
 from .kernels import Kernel
@@ -172,9 +172,9 @@ def _score(scored: tuple[float, list[Trained]]) -> float:
 
 def periods_of(records: Sequence[Record], period: float | None) -> list[float]:
     """The periods that are tried; raises `DataError` where the recordings are too short for the shortest."""
-    recorded = max(r.period for r in records) if all(r.uniform for r in records) else choose_period(records)
+    recorded = recorded_period(records) if all(r.uniform for r in records) else choose_period(records)
     finest = finest_period(records, recorded)
-    periods = [float(period)] if period else [float(f"{k * finest:.9g}") for k in PERIODS]
+    periods = [float(period)] if period else [tidy(k * finest) for k in PERIODS]
     kept = [p for p in periods if min(r.duration for r in records) >= FEWEST * p]
     if not kept:
         short = min(records, key=lambda r: r.duration)

@@ -10,13 +10,13 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, tidy
 from hydrotwin.records.resampling import hold
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock
 from ..options import check_positive
-from ..training_data import as_signals, check_excitation, choose_period, usable
+from ..training_data import as_signals, check_excitation, choose_period, recorded_period, usable
 
 FINER = 5  # block samples over the longest period that loses nothing
 TOLERANCE = 1e-9  # of the output's range: deployed against fitted
@@ -153,13 +153,12 @@ def block_period(verb: str, records: Sequence[Record], period: float | None) -> 
 
 
 def _fine_period(records: Sequence[Record]) -> float:
-    longest, recorded = choose_period(records), max(r.period for r in records)
+    longest, recorded = choose_period(records), recorded_period(records)
     wanted = max(longest / FINER, min(longest, sum(r.duration for r in records) / MOST))
-    if not all(r.uniform and abs(r.period - recorded) <= 1e-6 * recorded for r in records):
+    if not all(r.on_grid(recorded) for r in records):
         return float(f"{min(wanted, min(r.period for r in records) / FINER):.6g}")
     steps = np.floor(wanted / recorded * (1 + 1e-9))
-    recorded = float(f"{recorded:.9g}")  # the median of printed times carries rounding; a third of it has no end
-    return float(f"{recorded * steps:.9g}") if steps else recorded / float(np.ceil(recorded / wanted * (1 - 1e-9)))
+    return tidy(recorded * steps) if steps else recorded / float(np.ceil(recorded / wanted * (1 - 1e-9)))
 
 
 def coarser(records: Sequence[Record], period: float) -> float:

@@ -22,6 +22,7 @@ from ..training_data import (
     choose_period,
     named,
     on_period,
+    recorded_period,
     split_tail,
     training_box,
     usable,
@@ -175,7 +176,7 @@ def _method(flat, record: Record) -> dict:
 
 def _period(model, records: Sequence[Record], chosen: Sequence[Signal]) -> float:
     """The longest period [s] at which the model, its inputs held that long, runs as it does on the recording."""
-    recorded, period = max(r.period for r in records), choose_period(records)
+    recorded, period = recorded_period(records), choose_period(records)
     flat, names = getattr(model, "flat", model), [s.name for s in chosen]
     runs = [simulate(model, r).array(names) for r in records]
     floors = [noise_floor(r) for r in records]

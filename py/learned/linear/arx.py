@@ -11,12 +11,12 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, tidy
 from hydrotwin.simulation import simulate
 
 from ..block_file import Certificate, LearnedBlock, assemble
 from ..options import check_counts, check_lags, check_positive
-from ..training_data import checked_recordings, finest_period, named, training_box, usable
+from ..training_data import checked_recordings, finest_period, named, recorded_period, training_box, usable
 from .arx_block import ARX, arx_states
 from .orders import NOTHING, SIMPLER, Asked, Equation, Order, Search, fitted, free_run_of
 from .output_error import refined
@@ -169,9 +169,9 @@ def rows_at(both, period: float, inputs, outputs, scales: Scales, reach: int = 0
 
 def periods_of(records: Sequence[Record]) -> list[float]:
     """The sampling period and multiples, with neither too many samples over all recordings nor too few in one."""
-    finest = finest_period(records, max(r.period for r in records))
+    finest = finest_period(records, recorded_period(records))
     shortest = min(r.duration for r in records)
-    return [float(f"{finest * f:.9g}") for f in FACTORS if f == 1 or shortest / (finest * f) >= SAMPLES]
+    return [tidy(finest * f) for f in FACTORS if f == 1 or shortest / (finest * f) >= SAMPLES]
 
 
 def _equation(search: Search, finalists: int) -> tuple[Equation, float]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, tidy
 
-from ..training_data import MANY, choose_period
+from ..training_data import MANY, choose_period, recorded_period
 from .arx import choose
 from .orders import Asked
 
@@ -24,10 +24,10 @@ def affordable_period(
     Few samples are not thinned: `PLENTY` are left, or those of the recordings.
     both : recordings to fit, and those that choose (none: parts of the former).
     """
-    total, recorded = sum(r.duration for r in both[0]), max(r.period for r in both[0])
+    total, recorded = sum(r.duration for r in both[0]), recorded_period(both[0])
     period = choose_period(both[0])
     if total < PLENTY * period:
-        return float(f"{min(period, recorded * max(1, int(total / recorded / PLENTY))):.9g}")
+        return tidy(min(period, recorded * max(1, int(total / recorded / PLENTY))))
     if total <= MANY * period:
         return period
     return max(period, choose(both, inputs, outputs, None, Asked(), 0).period)

@@ -14,9 +14,10 @@ from itertools import product
 import numpy as np
 
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, tidy
 
 from ..substeps import chosen_substeps
+from ..training_data import recorded_period
 from .form import Form
 from .series import Series, series, squares
 from .training import Ended, Meter, Problem, Stage
@@ -162,11 +163,11 @@ class Search:
         """Those that are tried [s]."""
         if self.asked.period:
             return [float(self.asked.period)]
-        recorded = max(r.period for r in self.records)
+        recorded = recorded_period(self.records)
         longest, all_ = max(r.duration for r in self.records), sum(r.duration for r in self.records)
         tried = [f * recorded for f in FACTORS if f * recorded * FEWEST <= all_ or f == 1]
         kept = [p for p in tried if longest <= 1.01 * LONGEST * p] or tried[-1:]
-        return [float(f"{p:.9g}") for p in kept]  # the median of printed times carries rounding
+        return [tidy(p) for p in kept]
 
     def _delayed(self, form: Form) -> list[Form]:
         """The best form with other delays, those that a look finds better."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record
+from hydrotwin.records import Record, tidy
 
 from ..block_file import LearnedBlock
 from ..steady import steady_where_it_integrates
@@ -36,7 +36,7 @@ def fitted_again(
 
     inputs, outputs, records, _ = checked_recordings("learn", records, inputs, outputs, ())
     steps, lags = block.structure.get(STEPS, 1), (block.structure["output_lags"], block.structure["input_lags"])
-    period = float(f"{block.period * steps:.9g}")
+    period = tidy(block.period * steps)
     data = prepare(records, [], inputs, outputs, period, lags, False, steps=steps, scales=block.arrays)
     formula = Formula(whole_tokens(block.arrays["tokens"]), tuple(block.arrays["constants"].tolist()))
     own = range(len(outputs))

@@ -20,7 +20,7 @@ from ..needs import needed_to_train
 from ..options import check_counts, check_known, check_positive, check_tolerance
 from ..steady import steady_where_it_integrates
 from ..substeps import chosen_substeps, with_steps
-from ..training_data import checked_recordings, named, usable
+from ..training_data import checked_recordings, named, recorded_period, usable
 from .block import SUBTRACT, VARIABLE, Formula
 from .data import Prepared, prepare, prepare_static
 from .static_data import is_static
@@ -110,7 +110,7 @@ def learn_symbolic(
     if validate:
         usable(validate, (*inputs, *outputs))
     paper = fit == "paper"
-    recorded = float(f"{max(r.period for r in records):.9g}")  # the median of printed times carries rounding
+    recorded = recorded_period(records)
     static = not paper and (is_static(records, inputs, outputs) if static is None else bool(static))
     if static:
         period, data = float(period or recorded), prepare_static(records, select, inputs, outputs)

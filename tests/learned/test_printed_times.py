@@ -1,0 +1,53 @@
+"""Times are printed with few digits: a block learned from them sees the samples that were measured, as its FMU does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import hydrotwin as ht
+from hydrotwin.export import export_fmu
+from hydrotwin.learned.training_data import recorded_period
+from hydrotwin.records import Record
+from hydrotwin.simulation import simulate
+
+RATES = [(300.0, None), (300.0, 6), (300.0, 5), (300.0, 4), (7.0, 4), (750.0, 4), (1000.0, 3)]
+
+
+def recorded(rate: float, digits: int | None, seed: int, *, start: float = 0.0, samples: int = 3000) -> Record:
+    """A lag behind held commands, sampled at ``rate`` [Hz]; times printed with so many digits after the point."""
+    random = np.random.default_rng(seed)
+    u = np.repeat(random.uniform(-1, 1, samples // 20 + 1), 20)[:samples]
+    y = np.zeros(samples)
+    for k in range(1, samples):
+        y[k] = 0.9 * y[k - 1] + 0.1 * u[k - 1]
+    time = start + np.arange(samples) / rate
+    return Record(
+        time if digits is None else np.round(time, digits), {"u": u, "y": y}, {"u": "V", "y": "m"}, f"r{seed}"
+    )
+
+
+def rms(run: Record, record: Record) -> float:
+    return float(np.sqrt(np.mean((run["y"] - record["y"]) ** 2)))
+
+
+@pytest.mark.parametrize("start", [0.0, 1000.0])
+@pytest.mark.parametrize(("rate", "digits"), RATES)
+def test_a_machine_that_is_learnt_exactly_runs_exactly_over_recordings_of_any_printing(rate, digits, start):
+    train = [recorded(rate, digits, 1, start=start), recorded(rate, digits, 2, start=start, samples=2500)]
+    block = ht.learn("arx", train, ["u"], ["y"])
+    assert abs(block.period - 1 / rate) * len(train[0]) < 0.04 / rate, "no sample early or late at the end"
+    assert max(rms(simulate(block, r), r) for r in (*train, recorded(rate, None, 3))) < 1e-12
+
+
+def test_the_longest_time_tells_the_period_best():
+    long, short = recorded(300.0, 5, 1, samples=30_000), recorded(300.0, 5, 2, samples=200)
+    assert recorded_period([long, short]) == pytest.approx(1 / 300, rel=1e-8)
+
+
+@pytest.mark.parametrize(("rate", "digits"), [(300.0, 4), (300.0, None)])
+def test_the_fmu_of_such_a_block_sees_the_same_samples(rate, digits, tmp_path):
+    train = [recorded(rate, digits, k) for k in (1, 2)]
+    block = ht.learn("arx", train, ["u"], ["y"])
+    path = export_fmu(block, tmp_path / "block.fmu")
+    assert rms(ht.load(str(path)).free_run(train[0]), train[0]) < 1e-3, "a sample late would be 1e-2"

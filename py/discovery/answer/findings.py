@@ -42,7 +42,8 @@ def reason_of(search: Search, said: Standing, data: Split, elsewhere: Sequence[s
         names += " (or another that closes as much)" if others == 1 else ""
         return (
             f"{capitalised(names)} {verb} of what is missing: {percent(closed(table, best))} of the gap "
-            f"closes. What is left where it was fitted, {_times(said):.3g} times the noise, has no name in the catalogue.{unfinished}"
+            f"closes. What is left where it was fitted, {_times(said):.3g} times the noise, has no name in the "
+            f"catalogue.{unfinished}"
         )
     if said.unasked:
         return (

@@ -15,7 +15,7 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import ParameterValue, Signal, changed
 from hydrotwin.models.language.provenance import lasting
-from hydrotwin.records import Record, as_needed, known_inputs, require, steps_over
+from hydrotwin.records import NEAR, Record, as_needed, known_inputs, require, steps_over
 from hydrotwin.records.between import settled, told
 from hydrotwin.simulation.inputs import as_seen
 
@@ -150,12 +150,14 @@ class FmuBlock:
         period = self.description.period
         if period is None or len(record) < 2 or np.ptp(record.time) < period:
             return self._run(record)
-        steps_over(np.ptp(record.time), period, self.name)
-        grid = np.arange(record.time[0], record.time[-1] + (1 - 1e-6) * period, period)  # to the end or beyond it
-        held, until = [s.name for s in self.inputs if s.held], np.minimum(grid, record.time[-1])
-        known = require(record, self.inputs, self.name).resample(times=until, hold=held)
-        run = self._run(replace(known, time=grid), record)
-        signals = {name: np.interp(record.time, grid, values) for name, values in run.signals.items()}
+        even = record.evenly()
+        steps_over(np.ptp(even.time), period, self.name)
+        grid = np.arange(even.time[0], even.time[-1] + (1 - NEAR) * period, period)  # to the end or beyond it
+        held, until = [s.name for s in self.inputs if s.held], np.minimum(grid, even.time[-1])
+        known = require(even, self.inputs, self.name).resample(times=until, hold=held)
+        run = self._run(replace(known, time=grid), even)
+        on_grid = len(grid) == len(even) and even.on_grid(period)
+        signals = {n: v if on_grid else np.interp(even.time, grid, v) for n, v in run.signals.items()}
         return Record(record.time, signals, dict(run.units), self.name)
 
     def _run(self, record: Record, first: Record | None = None) -> Record:

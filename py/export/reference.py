@@ -86,6 +86,7 @@ def _require_reproducible(system: FlatModel, record: Record, accuracy: Accuracy 
 
 def _on_its_grid(block: Block, record: Record) -> Record:
     """A recording at the samples of a block, its inputs held."""
+    record = record.evenly()
     grid = sample_grid(block, record.time)
     if grid is record.time:
         return record

@@ -10,7 +10,7 @@ import numpy as np
 
 from hydrotwin.models.language.errors import DataError, DeclarationError, nearest
 from hydrotwin.models.language.flat import Signal
-from hydrotwin.records import Record, all_unbroken, as_needed, cuts, shares_samples
+from hydrotwin.records import NEAR, Record, all_unbroken, as_needed, cuts, shares_samples
 from hydrotwin.simulation import Block, simulate
 
 from . import held_out
@@ -230,7 +230,13 @@ def _names(model, records: Sequence[Record], inputs, outputs) -> tuple[list[str]
 def _card(block: Block, split: held_out.Split, records: Sequence[Record], named, rivals) -> dict:
     bad, notes = _of_form(block)
     bad += [*one_way(records, named[0]), *_of_ending(block)]
-    notes += [*cuts(records), *_of_drift(block), *_of_seeds(block), *_of_thinning(block, records)]
+    notes += [
+        *cuts(records),
+        *_of_printing(records),
+        *_of_drift(block),
+        *_of_seeds(block),
+        *_of_thinning(block, records),
+    ]
     if not split.parts:
         return card(split, [], Words(bad, notes))
     rows = judged(block, split, named[1], rivals, records)
@@ -303,6 +309,17 @@ def _of_thinning(block: Block, records: Sequence[Record]) -> list[str]:
     means = "; the inputs are their means in between" if steps > 1 else ""
     return [f"Of {all_} samples one every {period:.3g} s was trained on{means}: more than {MANY} take too long. Give "
             "period=... for another."]  # fmt: skip
+
+
+def _of_printing(records: Sequence[Record]) -> list[str]:
+    """Recordings whose samples were not taken at the times that are printed, but evenly."""
+    far = [r for r in records if np.abs(r.evenly().time - r.time).max(initial=0.0) > NEAR * r.period]
+    if not far:
+        return []
+    names = ", ".join(r.name for r in far[:3]) + (f" and {len(far) - 3} more" if len(far) > 3 else "")
+    return [
+        f"Times of {names} are printed with few digits: the samples count as even, one every {far[0].period:.6g} s."
+    ]
 
 
 def _of_drift(block: Block) -> list[str]:

@@ -87,7 +87,10 @@ def as_signals(wanted: Sequence[Signal | str], record: Record, role: str) -> tup
 
 
 def usable(records: Sequence[Record], signals: Sequence[Signal]) -> list[Record]:
-    """The recordings with just these columns; raises `DataError` for what nothing can be learnt from."""
+    """The recordings with just these columns, at the times of their even grids where they have one.
+
+    Raises `DataError` for what nothing can be learnt from.
+    """
     if not records:
         raise DataError("learn: no recordings (got an empty list). Give at least one Record.")
     checked = []
@@ -105,7 +108,7 @@ def usable(records: Sequence[Record], signals: Sequence[Signal]) -> list[Record]
             raise DataError(
                 f"{where}: {wanted.gaps[0]}. Training needs an unbroken recording. Cut it in two with window()."
             )
-        checked.append(wanted)
+        checked.append(wanted.evenly())
     return checked
 
 
@@ -143,7 +146,7 @@ def recorded_period(records: Sequence[Record]) -> float:
     longest = max(r.period for r in records)
     if not all(r.uniform and longest - r.period <= ALIKE * longest for r in records):
         return longest
-    return tidy(sum(r.time[-1] - r.time[0] for r in records) / sum(len(r) - 1 for r in records))
+    return tidy(sum(r.period * (len(r) - 1) for r in records) / sum(len(r) - 1 for r in records))
 
 
 def choose_period(records: Sequence[Record]) -> float:

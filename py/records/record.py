@@ -15,6 +15,7 @@ from hydrotwin.models.language.summary_html import SmallTable, summary_html
 from hydrotwin.models.language.units import si_unit
 
 from . import resampling
+from .even import even_times
 from .steps import few_lost, holes_at
 from .turning import turned_back
 
@@ -208,22 +209,34 @@ class Record:
 
     @cached_property
     def period(self) -> float:
-        """Time step [s]: the mean where sampling is even, for printed times are rounded, else the median.
+        """Time step [s]: of the even grid where sampling is even, for printed times are rounded, else the median.
 
         NaN for fewer than two samples.
         """
         if len(self) < 2:
             return float("nan")
-        return tidy((self.time[-1] - self.time[0]) / (len(self) - 1) if self.uniform else np.median(np.diff(self.time)))
+        even = self._even_times
+        return tidy(np.median(np.diff(self.time)) if even is None else (even[-1] - even[0]) / (len(even) - 1))
+
+    @property
+    def uniform(self) -> bool:
+        """Whether every sample lies on an even grid, as near as printed times do; see `even`."""
+        return self._even_times is not None
 
     @cached_property
-    def uniform(self) -> bool:
-        """Whether every sample lies on an even grid, as near as printed times do (`resampling.NEAR`)."""
-        return len(self) < 3 or self.on_grid((self.time[-1] - self.time[0]) / (len(self) - 1))
+    def _even_times(self) -> np.ndarray | None:
+        return even_times(self.time)
+
+    def evenly(self) -> Record:
+        """The samples at the times of their even grid, where those that were printed are others."""
+        even = self._even_times
+        same = even is None or not np.abs(even - self.time).max(initial=0.0) > resampling.ROUNDING * self.period
+        return self if same else self._at(even, self.signals)
 
     def on_grid(self, period: float) -> bool:
         """Whether the samples are those of an even grid of this period [s] from the first one on."""
-        away = np.abs(self.time - self.time[0] - period * np.arange(len(self))) if len(self) else np.zeros(1)
+        time = self.time if self._even_times is None else self._even_times
+        away = np.abs(time - time[0] - period * np.arange(len(self))) if len(self) else np.zeros(1)
         return bool(away.max() <= resampling.NEAR * period)
 
     @cached_property

@@ -45,7 +45,8 @@ def simulate(
 
     States start from ``start`` (SI, by name), else from the first sample of the output that measures them, else from
     the model's own initialisation. A Block runs at its own period: inputs are held or linear between the samples of
-    the record, outputs are linear between those of the block. A Block that knows its training domain also gives
+    the record, outputs are linear between those of the block; samples that are even count as even, however their times
+    are printed (`Record.evenly`). A Block that knows its training domain also gives
     ``training_distance`` (box widths outside, 0 inside) and ``inside_training_domain`` (1 or 0).
 
     parameters : changed parameter values (SI, by path). step, method : see `prepare`; a Block is refused them.
@@ -60,9 +61,11 @@ def simulate(
     model = settled(model, [record], interpolation)
     if isinstance(model, Block):
         check_own_period(model, step, method)
-        run = _block_run(model, record, parameters, start)
+        even = record.evenly()
+        run = _block_run(model, even, parameters, start)
         y = sampled.run_block(model, run.grid, run.u, run.p, run.x0)[0]
-        return _with_domain(answer_of(record, model, y, run.grid), model, run, y)
+        answer = _with_domain(answer_of(even, model, y, run.grid), model, run, y)
+        return dataclasses.replace(answer, time=record.time)
     flat = getattr(model, "flat", model)
     u, p, x0 = _driven(flat, record, parameters, start)
     propagator = prepare(flat, step=step, method=method)
@@ -92,11 +95,12 @@ def predict_one_step(
     model = settled(model, [record])
     if isinstance(model, Block):
         check_own_period(model, step, method)
-        run = _block_run(model, record, parameters, start)
+        even = record.evenly()
+        run = _block_run(model, even, parameters, start)
         _, x = sampled.run_block(model, run.grid, run.u, run.p, run.x0)
-        measured = _corrected(model, record, x, run.grid)
-        predicted = sampled.predict_block(model, run.grid, record.time, run.u, run.p, measured)
-        return answer_of(record, model, predicted, run.grid)
+        measured = _corrected(model, even, x, run.grid)
+        predicted = sampled.predict_block(model, run.grid, even.time, run.u, run.p, measured)
+        return dataclasses.replace(answer_of(even, model, predicted, run.grid), time=record.time)
     flat = getattr(model, "flat", model)
     u, p, x0 = _driven(flat, record, parameters, start)
     propagator = prepare(flat, step=step, method=method)

@@ -11,7 +11,18 @@ from hydrotwin.learned.training_data import recorded_period
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
-RATES = [(300.0, None), (300.0, 6), (300.0, 5), (300.0, 4), (7.0, 4), (750.0, 4), (1000.0, 3)]
+RATES = [
+    (300.0, None),
+    (300.0, 6),
+    (300.0, 5),
+    (300.0, 4),
+    (7.0, 4),
+    (750.0, 4),
+    (1000.0, 3),
+    (300.0, 3),
+    (600.0, 3),
+    (44.1, 2),
+]
 
 
 def recorded(rate: float, digits: int | None, seed: int, *, start: float = 0.0, samples: int = 3000) -> Record:
@@ -45,9 +56,18 @@ def test_the_longest_time_tells_the_period_best():
     assert recorded_period([long, short]) == pytest.approx(1 / 300, rel=1e-8)
 
 
-@pytest.mark.parametrize(("rate", "digits"), [(300.0, 4), (300.0, None)])
+@pytest.mark.parametrize(("rate", "digits"), [(300.0, 3), (300.0, 4), (300.0, None)])
 def test_the_fmu_of_such_a_block_sees_the_same_samples(rate, digits, tmp_path):
     train = [recorded(rate, digits, k) for k in (1, 2)]
     block = ht.learn("arx", train, ["u"], ["y"])
     path = export_fmu(block, tmp_path / "block.fmu")
-    assert rms(ht.load(str(path)).free_run(train[0]), train[0]) < 1e-3, "a sample late would be 1e-2"
+    assert rms(ht.load(str(path)).free_run(train[0]), train[0]) < 1e-9
+
+
+def test_the_card_says_that_coarsely_printed_times_count_as_even():
+    says = [
+        ht.learn("arx", [recorded(300.0, digits, k) for k in (1, 2)], ["u"], ["y"]).provenance["free_run"]["says"]
+        for digits in (3, 5)
+    ]
+    assert "Times of r1, r2 are printed with few digits: the samples count as even, one every 0.00333" in says[0]
+    assert "printed" not in says[1]

@@ -5,7 +5,7 @@
 #include "core.h"
 
 #define HT_NEAR 1e-9 /* relative: two times this close are one */
-#define HT_SLACK 0.04 /* of a sample period: a sample this near is due, for printed times are rounded */
+#define HT_SLACK 1e-6 /* of a sample period: a sample this near is due */
 
 /* bookkeeping inside the flat state */
 enum { PHASE, STALE, RATES_STALE, START_TIME, STOP_DEFINED, STOP_TIME, SAMPLE, INTERFACE, OUTSIDE, ASKED, MOVED, BOOKKEEPING };

@@ -22,7 +22,7 @@ from .hybrid.block import hybrid_outputs
 from .hybrid.learn import learn_hybrid
 from .importance import idle, importance
 from .interruption import INTERRUPTED
-from .leaving import FAR, leaves, leaves_said
+from .leaving import far, leaves, leaves_said
 from .linear.arx import learn_arx
 from .linear.learn import learn_linear
 from .network.learn import train_network
@@ -253,7 +253,7 @@ def _outside(block: Block, split: held_out.Split) -> tuple[list[str], list[str]]
     runs = held_out.through(lambda record: simulate(block, record), split.parts)
     found = leaves(block, split.held_out, runs)
     said = [leaves_said(found, "what was held out")] if found else []
-    return (said, []) if found.get("share", 0.0) >= FAR else ([], said)
+    return (said, []) if far(found) else ([], said)
 
 
 def _of_ending(block: Block) -> list[str]:

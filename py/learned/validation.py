@@ -13,7 +13,7 @@ from hydrotwin.simulation import Block, simulate
 from hydrotwin.simulation.stops import Diverged
 
 from .bands import WIDE, known_bands
-from .leaving import FAR, leaves, leaves_said
+from .leaving import far, leaves, leaves_said
 from .report_card import constant, shown
 from .training_data import named
 from .verdicts import BETTER
@@ -144,7 +144,7 @@ def doubtful(block: Block) -> bool:
     """Whether the recordings to validate with say something against a block."""
     told = block.provenance
     few = any(inside < FEW_INSIDE for inside in told.get(INSIDE, {}).values())
-    return bool(no_better_than(block)) or few or told.get(BEYOND, {}).get("share", 0.0) >= FAR
+    return bool(no_better_than(block)) or few or far(told.get(BEYOND, {}))
 
 
 def sentence(block: Block) -> str:

@@ -152,12 +152,14 @@ class FmuBlock:
             return self._run(record)
         even = record.evenly()
         steps_over(np.ptp(even.time), period, self.name)
+        if even.on_grid(period):
+            own = replace(require(even, self.inputs, self.name), time=even.time[0] + period * np.arange(len(even)))
+            return replace(self._run(own, even), time=record.time)
         grid = np.arange(even.time[0], even.time[-1] + (1 - NEAR) * period, period)  # to the end or beyond it
         held, until = [s.name for s in self.inputs if s.held], np.minimum(grid, even.time[-1])
         known = require(even, self.inputs, self.name).resample(times=until, hold=held)
         run = self._run(replace(known, time=grid), even)
-        on_grid = len(grid) == len(even) and even.on_grid(period)
-        signals = {n: v if on_grid else np.interp(even.time, grid, v) for n, v in run.signals.items()}
+        signals = {name: np.interp(even.time, grid, values) for name, values in run.signals.items()}
         return Record(record.time, signals, dict(run.units), self.name)
 
     def _run(self, record: Record, first: Record | None = None) -> Record:

@@ -34,7 +34,7 @@ from .report_card import MODEL, Words, card, judged, shown, yardsticks
 from .state_network.learn import learn_state_network
 from .substeps_step import STEPS as SUBSTEPS
 from .symbolic.learn import learn_symbolic
-from .training_data import MANY, with_marks
+from .training_data import MANY, typed_period, with_marks
 from .validation import judges, validated
 
 KINDS: Mapping[str, Callable] = {
@@ -136,6 +136,7 @@ def trained(
         )
     options |= {"fit": fit} if fit is not None and kind not in PUBLISHED else {}
     records = unbroken_for(records, inputs, outputs, model)
+    options |= {"period": typed_period(options["period"], records)} if options.get("period") else {}
     options |= {"select": unbroken_for(options["select"], inputs, outputs, model)} if options.get("select") else {}
     split = held_out_of(records, inputs, outputs, model)
 

@@ -16,6 +16,7 @@ from hydrotwin.simulation.block import ON_THE_EDGE, Block, TrainingDomain
 RESOLUTION = 2e-3  # of a signal's range: what linear interpolation at the chosen period may lose
 MANY = 20_000  # samples over all recordings that are run over for every candidate; more cost minutes for each
 ALIKE = 1e-3  # of a period: sampling periods that differ by no more are one, whose times are rounded
+TYPED = 3  # digits of a period, from which on it may stand for a longer number
 HELD_OUT = 0.2  # of every recording, when no recordings are given for selection
 LIMIT_OVER_SEEN = 2.0  # bound of an increment over the largest seen in training
 ROOM = 0.5  # of the range seen in training: how far a free run may leave it on either side
@@ -147,6 +148,17 @@ def recorded_period(records: Sequence[Record]) -> float:
     if not all(r.uniform and longest - r.period <= ALIKE * longest for r in records):
         return longest
     return tidy(sum(r.period * (len(r) - 1) for r in records) / sum(len(r) - 1 for r in records))
+
+
+def typed_period(typed: float, records: Sequence[Record]) -> float:
+    """The whole number of sampling periods [s] that a period stands for, where it is one of those, written shorter."""
+    recorded = recorded_period(records)
+    if not (isinstance(typed, int | float) and np.isfinite(recorded) and typed >= 0.5 * recorded > 0):
+        return typed
+    whole = tidy(recorded * round(typed / recorded))
+    digits = len(f"{typed:.15g}".lower().split("e")[0].replace(".", "").strip("0"))
+    written = digits >= TYPED and float(f"{whole:.{digits}g}") == typed
+    return whole if written or abs(whole - typed) <= ALIKE * whole else typed
 
 
 def choose_period(records: Sequence[Record]) -> float:

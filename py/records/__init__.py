@@ -16,12 +16,13 @@ from .require import (
     shares_samples,
     without_unknown,
 )
-from .resampling import NEAR, steps_over
+from .resampling import CLOCKS, NEAR, steps_over
 from .scale import Scale, parse_scale
 from .turning import turned_back
 from .unbroken import all_unbroken, cuts, joined, unbroken
 
 __all__ = [
+    "CLOCKS",
     "EXACT",
     "NEAR",
     "SUFFIXES",

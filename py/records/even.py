@@ -9,25 +9,39 @@ from .resampling import NEAR
 FINEST = 9  # digits after the point that times are looked at for
 ROUNDING = 0.501  # of the last digit printed: as far as rounding moves a time
 FEWEST, ENOUGH = 3, 10  # times that say something of a grid; and of one that rounding has moved further
+LOST = 20  # samples that may be missing from a grid
 
 
 def even_times(time: np.ndarray) -> np.ndarray | None:
-    """The even grid (n,) [s] that printed times (n,) are of; None where sampling is not even.
+    """The times (n,) [s] on an even grid that printed ones (n,) are of, a few of it missing; None where there is none.
 
     Every time lies within its last digit of the grid, or nearer than a small share of a step.
     """
     if len(time) < FEWEST:
         return time
-    k = np.arange(len(time), dtype=float)
-    ends = (time[-1] - time[0]) / (len(time) - 1)
-    away = time - time[0] - ends * k
-    if np.abs(away).max() <= NEAR * ends:
-        return time[0] + ends * k
-    if len(time) < ENOUGH or np.abs(away).max() > ends:  # no rounding moves a time by more than a step
+    whole = np.arange(len(time), dtype=float)
+    step = (time[-1] - time[0]) / (len(time) - 1)
+    if np.abs(time - time[0] - step * whole).max() <= NEAR * step:
+        return time[0] + step * whole
+    if len(time) < ENOUGH:
         return None
-    slope, offset = np.polyfit(k, away, 1)
-    grid = time[0] + offset + (ends + slope) * k
-    return grid if np.abs(time - grid).max() <= ROUNDING * _last_digit(time) < 0.5 * ends else None
+    digit = _last_digit(time)
+    for lost in range(LOST + 1):
+        step = (time[-1] - time[0]) / (len(time) - 1 + lost)
+        ticks = np.round((time - time[0]) / step)
+        if (np.diff(ticks) == 1).mean() < 1 - 2 * lost / len(time) or ticks[-1] != len(time) - 1 + lost:
+            continue
+        slope, offset = np.polyfit(ticks, time - time[0] - step * ticks, 1)
+        grid = time[0] + offset + (step + slope) * ticks
+        near = NEAR * step if lost else ROUNDING * digit  # of a whole grid, what is nearer was seen before
+        if np.abs(time - grid).max() <= min(max(near, ROUNDING * digit), 0.5 * step):
+            return grid
+    return None
+
+
+def is_whole(times: np.ndarray) -> bool:
+    """Whether times on an even grid lack none of it."""
+    return len(times) < FEWEST or bool(np.ptp(np.diff(times)) < 0.5 * np.diff(times).min())
 
 
 def _last_digit(time: np.ndarray) -> float:

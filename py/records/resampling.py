@@ -10,6 +10,7 @@ from hydrotwin.models.language.errors import DataError
 
 ROUNDING = 1e-5  # of a step: two times closer than this are the same instant
 NEAR = 0.04  # of a step: as near to a sample is that sample, for times and periods are rounded
+CLOCKS = 1e-3  # of a period: clocks that differ by no more tick alike, and their samples are counted
 MOST_STEPS = 1e8  # of one run or one time axis: minutes of a fast model, 0.8 GB a column
 
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydrotwin.models.language.errors import DataError
-from hydrotwin.records import NEAR, steps_over
+from hydrotwin.records import CLOCKS, NEAR, steps_over
 
 from . import inputs
 from .block import Block
@@ -17,11 +17,13 @@ CHUNK = 400  # samples per call of the interpreter, at most
 
 
 def sample_grid(block: Block, time: np.ndarray) -> np.ndarray:
-    """The block's own sample times over a recording; ``time`` itself when it already is that grid."""
+    """The block's own sample times over a recording; ``time`` itself when it already is that grid, by another clock."""
+    even = np.ptp(time) / max(len(time) - 1, 1)
+    alike = len(time) > 1 and abs(even - block.period) <= CLOCKS * block.period
+    if alike and np.abs(time - time[0] - even * np.arange(len(time))).max() < NEAR * block.period:
+        return time
     steps = max(int(np.ceil(steps_over(time[-1] - time[0], block.period, block.name) - NEAR)), 0)
-    grid = time[0] + block.period * np.arange(steps + 1)
-    on_grid = len(grid) == len(time) and np.abs(grid - time).max() < NEAR * block.period
-    return time if on_grid else grid
+    return time[0] + block.period * np.arange(steps + 1)
 
 
 def sampled_inputs(block: Block, time: np.ndarray, u: np.ndarray, grid: np.ndarray) -> np.ndarray:

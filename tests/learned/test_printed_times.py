@@ -7,7 +7,7 @@ import pytest
 
 import hydrotwin as ht
 from hydrotwin.export import export_fmu
-from hydrotwin.learned.training_data import recorded_period
+from hydrotwin.learned.training_data import recorded_period, typed_period
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
@@ -71,3 +71,26 @@ def test_the_card_says_that_coarsely_printed_times_count_as_even():
     ]
     assert "Times of r1, r2 are printed with few digits: the samples count as even, one every 0.00333" in says[0]
     assert "printed" not in says[1]
+
+
+@pytest.mark.parametrize(("typed", "meant"), [(0.00333, 1), (0.0033333, 1), (0.00667, 2), (0.01, 3), (0.0033, None)])
+def test_a_period_that_is_written_short_stands_for_samples(typed, meant):
+    found = typed_period(typed, [recorded(300.0, None, 1)])
+    assert found == pytest.approx(typed if meant is None else meant / 300, rel=1e-12)
+
+
+@pytest.mark.parametrize("apart", [1e-5, 1e-4, 5e-4])
+def test_samples_are_counted_where_two_clocks_do_not_quite_agree(apart):
+    slower = recorded(300.0 * (1 - apart), None, 2)
+    block = ht.learn("arx", [recorded(300.0, None, 1), slower], ["u"], ["y"])
+    assert max(rms(simulate(block, r), r) for r in (slower, recorded(300.0 * (1 + apart / 4), None, 3))) < 1e-12
+
+
+def test_a_sample_that_is_missing_leaves_the_grid_of_the_others():
+    whole = recorded(300.0, 3, 1)
+    kept = np.delete(np.arange(len(whole)), 1500)
+    lacking = Record(whole.time[kept], {n: whole[n][kept] for n in ("u", "y")}, {"u": "V", "y": "m"}, "lacking")
+    assert not lacking.uniform and lacking.period == pytest.approx(1 / 300, rel=1e-5)
+    exact = recorded(300.0, None, 1).time[kept]
+    assert np.abs(lacking.evenly().time - exact).max() < 1e-3
+    assert np.abs(np.diff(lacking.evenly().time - exact)).max() < 1e-8, "but for a constant"

@@ -175,7 +175,7 @@ def _of_records(records, signals, rate, reading: Reading, moving, period) -> Cha
             "Hold commands for longer, ramp more slowly, give a shorter settle and window, or moving=True."
         )
     told = {"trained_on": named(records), "steady_points": len(found.commands), "settle": found.settle,
-            "window": found.window, "delay": reading.delay or 0.0, "creeping": found.creeping}  # fmt: skip
+            "window": found.window, "delay": reading.delay or 0.0, "creeping": list(found.creeping)}  # fmt: skip
     asked, sigma = asked_signal(output, rate), float(np.median(found.errors))
     return Characteristic(input, asked, found.commands, found.answers, sigma, period or records[0].period, told)
 

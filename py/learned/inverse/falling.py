@@ -59,5 +59,5 @@ def refuse_what_falls(output: str, input_: str, fall: Fall | None, rises: float)
         raise DataError(
             f"characteristic of {output}: it falls as '{input_}' rises (by {fall.by:.3g} from {fall.begin:.3g} to "
             f"{fall.end:.3g}, SI). What falls has no rising inverse. Turn the sign of one of the two, or give "
-            "recordings of commands over which it rises."
+            "recordings of commands over which it rises, without stretches at an end stop."
         )

@@ -168,20 +168,21 @@ def _falling(forward: Characteristic) -> list[str]:
     return [
         f"{unless}rom {shown(fall.begin, u)} to {shown(fall.end, u)} of {forward.input.name}, {rate.name} falls by "
         f"{shown(fall.by, rate.unit)} ({100 * fall.share:.2g} % of its range): there is no inverse there, and this one "
-        "holds a mean. Leave those commands out of the recordings, or make the machine rise."
+        "holds a mean. Leave those commands and stretches at end stops out of the recordings, or make the machine rise."
     ]
 
 
 def _creeping(forward: Characteristic) -> list[str]:
     """Where the recordings do not hold commands until the machine rests: points left out creep as those learnt from."""
-    by, settle = forward.source.get("creeping", 0.0), forward.source.get("settle")
-    if not by:
+    found, settle = forward.source.get("creeping"), forward.source.get("settle")
+    if not found:
         return []
+    before, now = (shown(scatter, forward.rate.unit) for scatter in found)
     rate = judged_signal(forward.rate)
     return [
-        f"{rate.name} has not settled where the commands end: {shown(settle, 's')} after a step its points still "
-        f"scatter less than before, by {shown(by, rate.unit)}, and commands are not held for longer. The inverse is "
-        "late by about that much. Hold every command until the machine rests."
+        f"{rate.name} has hardly settled where the commands end: {shown(settle, 's')} after a step its points scatter "
+        f"by {now} about a rising curve, a little sooner by {before}, and commands are not held for longer. Some of "
+        "that is in the inverse. Hold every command until the machine rests."
     ]
 
 

@@ -48,8 +48,8 @@ class Reading:
 class Steady:
     """Commands, answers and their standard errors (n,), SI; settle, window : s, as they were taken.
 
-    creeping : by how much less (RMS, SI) the answers scatter with the longest settle than with the one before; 0 where
-    they do not, so that the machine has settled.
+    creeping : where commands are not held long enough for the machine to settle, how much the answers scatter about a
+    rising curve (RMS, SI) with a shorter settle, and with this one, the longest that there is; empty elsewhere.
     """
 
     commands: np.ndarray
@@ -57,7 +57,7 @@ class Steady:
     errors: np.ndarray
     settle: float
     window: float
-    creeping: float = 0.0
+    creeping: tuple[float, ...] = ()
 
 
 def steady_points(records: Sequence[Record], input_: Signal, output: Signal, rate: bool, reading: Reading) -> Steady:
@@ -93,7 +93,7 @@ def _settled(tried: Sequence[Steady]) -> Steady:
     scatter = [_scatter(t) for t in tried]
     least = max(SAME * min(scatter), LEAST_SCATTER * float(np.ptp(tried[-1].answers)))
     at = next(k for k, s in enumerate(scatter) if s <= max(least, float(np.median(tried[k].errors))))
-    creeping = scatter[at - 1] - scatter[at] if at and at == len(tried) - 1 else 0.0
+    creeping = (scatter[at - 1], scatter[at]) if at and at == len(tried) - 1 else ()
     return replace(tried[at], creeping=creeping)
 
 

@@ -244,6 +244,9 @@ def _card(block: Block, split: held_out.Split, records: Sequence[Record], named,
     worth = importance(block, split.parts, named[1])
     unused = idle(worth, {row.output.name: row.rmse for row in rows})
     notes += [f"Without {name} it runs as well: leave it out, or record it moving more." for name in unused]
+    if block.provenance.get("kind") == "symbolic" and any(row.no_better_than for row in rows) and not _static(block):
+        notes.append("It was learned with a memory. Where outputs follow from the inputs of the same moment alone, say "
+                     "static=true.")  # fmt: skip
     if not any(row.diverged for row in rows):
         bad, notes = ([*before, *more] for before, more in zip((bad, notes), _outside(block, split), strict=True))
     return card(split, rows, Words(bad, notes, repeats(split, named[0]))) | ({"inputs": worth} if worth else {})
@@ -255,6 +258,10 @@ def _outside(block: Block, split: held_out.Split) -> tuple[list[str], list[str]]
     found = leaves(block, split.held_out, runs)
     said = [leaves_said(found, "what was held out")] if found else []
     return (said, []) if far(found) else ([], said)
+
+
+def _static(block: Block) -> bool:
+    return bool(block.provenance.get("static"))
 
 
 def _of_ending(block: Block) -> list[str]:

@@ -32,6 +32,7 @@ from .verdicts import BETTER, NOTHING, rms_of, surely_less
 
 HOLD, MEAN, CURVE, MODEL = "holding the last sample", "the mean", "a piecewise linear curve", "the model alone"
 ARX = "ARX"
+EXACT = 1e-9  # of the range: an error that is none
 BEYOND = 0.4  # of the range seen in training: a free run further outside it has diverged
 SAMPLES = 6000  # of the curve's own run over all recordings: a yardstick may cost little
 ADVICE = "Record more: held levels, ramps and steps of every input over the range that matters; or try another kind."
@@ -70,7 +71,8 @@ class Row:
     @property
     def no_better_than(self) -> list[str]:
         """The yardsticks that the block does not beat."""
-        return [name for name, error in self.yardsticks.items() if not self.rmse < BETTER * error]
+        exact = EXACT * self.range  # what is so good is no worse than anything: rounding would decide
+        return [n for n, error in self.yardsticks.items() if not self.rmse < BETTER * error and not self.rmse <= exact]
 
     @property
     def cannot_tell(self) -> list[str]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -107,3 +109,42 @@ def test_commands_that_end_before_the_machine_rests_are_told_and_not_blamed_on_i
 
 def test_a_time_that_is_given_is_taken():
     assert characteristic(staircase(3.0, 0.3), "u", "y", settle=0.7, window=0.3).source["settle"] == 0.7
+
+
+def rising(seconds: float, lag: float, *, ramp: bool = False) -> Record:
+    """Levels that only rise, or one ramp, of a machine that follows with a lag [s] and begins at rest."""
+    held = round(seconds / PERIOD)
+    u = np.linspace(-1, 1, 40 * held) if ramp else np.repeat(np.linspace(-1, 1, 40), held)
+    y, x, kept = np.zeros(len(u)), bent(u[0]), np.exp(-PERIOD / lag)
+    for k in range(len(u)):
+        y[k], x = x, kept * x + (1 - kept) * bent(u[k])
+    return Record(PERIOD * np.arange(len(u)), {"u": u, "y": y}, {"u": "V", "y": "Pa"})
+
+
+@pytest.mark.parametrize("ramp", [False, True])
+def test_what_comes_late_everywhere_alike_is_told_by_the_way_that_commands_go(ramp):
+    says = judged_inverse(rising(2.0, 3.0, ramp=ramp), "u", "y").provenance["held_out"]["says"]
+    assert "u goes one way only: lag and play of the machine shift all points alike" in says
+    assert ("still changes while commands are held" in says) == (not ramp)
+
+
+def test_a_machine_that_rests_is_not_said_to_go_on():
+    found = characteristic(staircase(2.0, 0.05, noise=0.01), "u", "y")
+    assert found.source["going_on"] == 0.0 and not found.source["one_way"]
+
+
+def test_the_card_of_a_command_that_never_rests_decides_rate_or_level_as_the_block_did():
+    t = PERIOD * np.arange(12_000)
+    u = np.interp(t % 40, [0, 20, 40], [-1, 1, -1])
+    record = Record(t, {"u": u, "y": PERIOD * np.cumsum(bent(u))}, {"u": "V", "y": "m"})
+    learnt = judged_inverse(record, "u", "y", moving=True)
+    assert learnt.provenance["held_out"]["outputs"]["y_rate"]["percent_of_range"] < 0.5
+    assert "Dead time, lag and play are one there" in learnt.provenance["held_out"]["says"]
+
+
+def test_the_inverse_of_a_learned_block_says_what_the_block_says_of_itself():
+    machine = block(lambda y, u: (bent(u) - y) / 0.1, "m")
+    learned = dataclasses.replace(machine, provenance={"free_run": {"bad": True, "says": "It is no better than ARX."}})
+    says = judged_inverse(learned, "u", "y", start=START).provenance["held_out"]["says"]
+    assert says.startswith("It is the inverse of machine, not of the machine, and of that: It is no better than ARX.")
+    assert "steady points that were left out, of machine and not of the machine" in says

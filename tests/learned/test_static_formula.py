@@ -160,3 +160,20 @@ def test_what_sympy_makes_of_a_formula_can_be_written_as_tokens(text):
     for value in (-2.3, -0.4, 0.7, 3.1):
         found = evaluate(tokens.tokens, tokens.constants, [value])[0]
         assert found == pytest.approx(float(expression.subs(x, value)), rel=1e-12)
+
+
+@pytest.mark.parametrize("lag", [0.0, 0.02, 0.2])
+@pytest.mark.parametrize("held", [0.2, 1.0, 4.0])
+@pytest.mark.parametrize(
+    "law", [lambda u: np.sign(u) * np.sqrt(np.abs(u)), lambda u: np.tanh(30 * u), lambda u: np.sin(9 * u)]
+)
+def test_a_law_of_any_shape_is_static_where_it_is_right_at_the_first_sample_of_a_hold(law, held, lag):
+    random, period = np.random.default_rng(1), 0.01
+    u = np.repeat(random.uniform(-1, 1, round(40 / held)), round(held / period))
+    y, x, kept = np.zeros(len(u)), law(u[0]), np.exp(-period / lag) if lag else 0.0
+    for k in range(len(u)):
+        x = kept * x + (1 - kept) * law(u[k])
+        y[k] = x
+    y += 0.01 * random.normal(size=len(u))
+    record = Record(period * np.arange(len(u)), {"u": u, "y": y}, {"u": "V", "y": "m"})
+    assert is_static([record], [Signal("u", "V")], [Signal("y", "m")]) == (lag == 0.0)

@@ -175,7 +175,8 @@ def _of_records(records, signals, rate, reading: Reading, moving, period) -> Cha
             "Hold commands for longer, ramp more slowly, give a shorter settle and window, or moving=True."
         )
     told = {"trained_on": named(records), "steady_points": len(found.commands), "settle": found.settle,
-            "window": found.window, "delay": reading.delay or 0.0, "creeping": list(found.creeping)}  # fmt: skip
+            "window": found.window, "delay": reading.delay or 0.0, "creeping": list(found.creeping), "rate": rate,
+            "going_on": found.going_on, "one_way": found.one_way}  # fmt: skip
     asked, sigma = asked_signal(output, rate), float(np.median(found.errors))
     return Characteristic(input, asked, found.commands, found.answers, sigma, period or records[0].period, told)
 
@@ -183,7 +184,8 @@ def _of_records(records, signals, rate, reading: Reading, moving, period) -> Cha
 def _of_moving(records, input, output, rate, delay, period) -> Characteristic:
     found = moving_curve(records, input, output, rate, delay)
     refuse_what_falls(output.name, input.name, found.fall, float(np.ptp(found.rates)))
-    told = {"trained_on": named(records), "moving_points": len(found.commands), "delay": found.dead_time}
+    told = {"trained_on": named(records), "moving_points": len(found.commands), "delay": found.dead_time,
+            "rate": rate}  # fmt: skip
     return Characteristic(
         input, asked_signal(output, rate), found.commands, found.rates, found.sigma, period or records[0].period, told,
         found.fall,

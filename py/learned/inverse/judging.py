@@ -19,10 +19,11 @@ import numpy as np
 from hydrotwin.models.language.errors import DataError, DeclarationError, HydrotwinError
 from hydrotwin.models.language.flat import Signal
 from hydrotwin.records import Record
+from hydrotwin.simulation import Block
 
 from .. import held_out
 from ..block_file import LearnedBlock
-from ..report_card import BLOCK, MEAN, STEADY, Row, Words, carded, further, shown, unknown
+from ..report_card import BLOCK, MEAN, STEADY, Row, Words, card_of, carded, further, shown, unknown
 from ..verdicts import rms_of
 from .compensator import DesiredCurve, desired_curve, learn_compensator
 from .curve import GRID, static_answer
@@ -96,14 +97,14 @@ def _carded(block: LearnedBlock, forward: Characteristic, given: tuple, learning
     try:
         apart = _apart(forward, given)
         inverse = learn_inverse(apart.fit, **again)
-        told = _card(inverse, apart, forward, curve)
+        told = _card(inverse, apart, forward, given[0], curve)
     except DeclarationError:
         raise
     except HydrotwinError as error:
-        told = unknown(f"{error} How well it holds at other commands is not known.", Words(_wrong(forward)))
+        told = unknown(f"{error} How well it holds at other commands is not known.", Words(_wrong(forward, given[0])))
     except KeyboardInterrupt:  # the block is learnt: it is not lost because nobody waits for its card
         why = "the card was interrupted. How well it holds at other commands is not known."
-        told = unknown(why, Words(_wrong(forward)))
+        told = unknown(why, Words(_wrong(forward, given[0])))
     return replace(block, provenance={**block.provenance, STEADY: told})
 
 
@@ -115,6 +116,7 @@ def _apart(forward: Characteristic, given: tuple) -> _Apart:
         split = held_out.split(records, [forward.input.name], [getattr(output, "name", output)])
         if not split.parts:
             raise DataError(f"{split.why.rstrip('.')}. Record longer.")
+        steady = {**steady, "rate": forward.source["rate"]}  # a part may not tell what all of them do
         fit, seen = (characteristic(part, input_, output, **steady) for part in (split.fit, split.held_out))
         return _Apart(fit, seen.commands, seen.rates, OF_ENDS)
     out = np.arange(len(forward.commands)) % EVERY == EVERY // 2
@@ -124,10 +126,11 @@ def _apart(forward: Characteristic, given: tuple) -> _Apart:
             f"Hold {-(-LEAST_POINTS * EVERY // (EVERY - 1))} commands or more."
         )
     fit = replace(forward, commands=forward.commands[~out], rates=forward.rates[~out])
-    return _Apart(fit, forward.commands[out], forward.rates[out], LEFT_OUT)
+    words = f"{LEFT_OUT}, of {source.name} and not of the machine" if isinstance(source, Block) else LEFT_OUT
+    return _Apart(fit, forward.commands[out], forward.rates[out], words)
 
 
-def _card(inverse: LearnedBlock, apart: _Apart, forward: Characteristic, curve: DesiredCurve | None) -> dict:
+def _card(inverse: LearnedBlock, apart: _Apart, forward: Characteristic, source, curve: DesiredCurve | None) -> dict:
     u, r = apart.commands, apart.rates
     asked = np.ones(len(r), bool)
     if curve is not None:
@@ -150,12 +153,19 @@ def _card(inverse: LearnedBlock, apart: _Apart, forward: Characteristic, curve: 
     )  # fmt: skip
     held = {"points": int(asked.sum()), "which": apart.words}
     good = f"At {held['points']} {apart.words}, RMS error of {row.said()}."
-    bad = [*_wrong(forward), *_uncovered(apart, forward)]
-    return carded([row], Words(bad, _noise(forward)), [held], [good])
+    bad = [*_wrong(forward, source), *_uncovered(apart, forward)]
+    return carded([row], Words(bad, [*_noise(forward), *_moving(forward)]), [held], [good])
 
 
-def _wrong(forward: Characteristic) -> list[str]:
-    return [*_creeping(forward), *_changing(forward), *_falling(forward)]
+def _wrong(forward: Characteristic, source) -> list[str]:
+    return [
+        *_of_source(source),
+        *_creeping(forward),
+        *_going_on(forward),
+        *_one_way(forward),
+        *_changing(forward),
+        *_falling(forward),
+    ]
 
 
 def _falling(forward: Characteristic) -> list[str]:
@@ -183,6 +193,28 @@ def _creeping(forward: Characteristic) -> list[str]:
         f"{rate.name} has hardly settled where the commands end: {shown(settle, 's')} after a step its points scatter "
         f"by {now} about a rising curve, a little sooner by {before}, and commands are not held for longer. Some of "
         "that is in the inverse. Hold every command until the machine rests."
+    ]
+
+
+def _going_on(forward: Characteristic) -> list[str]:
+    """Where the machine still moves while its answer is taken."""
+    by, window = forward.source.get("going_on"), forward.source.get("window")
+    if not by or forward.source.get("creeping"):
+        return []
+    rate = judged_signal(forward.rate)
+    return [
+        f"{rate.name} still changes while commands are held, by {shown(by, rate.unit)} from one half of a window of "
+        f"{shown(window, 's')} to the other: it has not settled, or drifts. Some of that is in the "
+        "inverse, more where it is slow. Hold every command until the machine rests."
+    ]
+
+
+def _one_way(forward: Characteristic) -> list[str]:
+    if not forward.source.get("one_way"):
+        return []
+    return [
+        f"{forward.input.name} goes one way only: lag and play of the machine shift all points alike, and nothing here "
+        "can tell. Record it both rising and falling."
     ]
 
 
@@ -214,6 +246,25 @@ def _uncovered(apart: _Apart, forward: Characteristic) -> list[str]:
 def _noise(forward: Characteristic) -> list[str]:
     """How far one point is known."""
     return [f"One point is known to {shown(forward.sigma, forward.rate.unit)}."] if forward.sigma > 0 else []
+
+
+def _moving(forward: Characteristic) -> list[str]:
+    """What a command that never rests does not tell."""
+    if "moving_points" not in forward.source:
+        return []
+    late = shown(forward.source["delay"], "s")
+    return [
+        f"The command never rests, so every sample counts, {late} late. Dead time, lag and play are one there, and the "
+        "ends of the range are rounded: hold commands, from both sides, to tell them apart."
+    ]
+
+
+def _of_source(source) -> list[str]:
+    """What the card of a learned block says against it: its inverse is as wrong as it is."""
+    card = card_of(source) if isinstance(source, Block) else {}
+    if not card.get("bad"):
+        return []
+    return [f"It is the inverse of {source.name}, not of the machine, and of that: {card['says']}"]
 
 
 def _expected(inverse: LearnedBlock, commands: np.ndarray) -> np.ndarray:

@@ -21,11 +21,15 @@ from ..training_data import level_and_error, slope_and_error
 SETTLE, WINDOW = 0.5, 0.5  # s, to begin with; where commands are held for less than 2 s, a quarter of that
 PARTS = 4  # of what a command is held for: one to settle to begin with, one for the window
 LONGER = 2**0.5  # from one settle to the next that is tried
+STEADY = 0.03  # of the range of the command: it is held where it moves no more
 SAME = 1.25  # times the least scatter: less is no reason to wait longer
 LEAST_SCATTER = 1e-3  # of the span of the answers: what is below tells nothing
 LEAST_POINTS = 12
 LEAST_SAMPLES = 4  # in a window
 COVERED = 0.8  # of the range of the command by steady stretches, or every sample counts
+GOES_ON = 2e-3  # of the span of the answers, from the first half of a window to the second: less is no motion
+STILL = 1e-3  # of that range: it stands where it moves no more
+ONE_WAY = 0.05  # of its way that a command must go back, at least, or it goes one way
 JUMP = 0.01  # of the range of the command, from one sample to the next: no ramp
 JUMPING = 0.8  # of the way that a command went, in jumps: it is held in between
 
@@ -41,7 +45,7 @@ class Reading:
     settle: float | None = None
     window: float | None = None
     delay: float | None = None
-    steady: float = 0.03
+    steady: float = STEADY
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +54,9 @@ class Steady:
 
     creeping : where commands are not held long enough for the machine to settle, how much the answers scatter about a
     rising curve (RMS, SI) with a shorter settle, and with this one, the longest that there is; empty elsewhere.
+    going_on : by how much answers to held commands change from one half of a window to the other (RMS, SI), beyond
+    their noise; 0 where that is little. one_way : whether the commands only rise, or only fall: what comes late then
+    does so everywhere, and scatters about no curve.
     """
 
     commands: np.ndarray
@@ -58,6 +65,8 @@ class Steady:
     settle: float
     window: float
     creeping: tuple[float, ...] = ()
+    going_on: float = 0.0
+    one_way: bool = False
 
 
 def steady_points(records: Sequence[Record], input_: Signal, output: Signal, rate: bool, reading: Reading) -> Steady:
@@ -65,13 +74,15 @@ def steady_points(records: Sequence[Record], input_: Signal, output: Signal, rat
     every = np.concatenate([r[input_.name] for r in records])
     span = max(float(np.ptp(every)), 1e-300)
     held = _held_for(records, input_.name, JUMP * span)
+    one_way = _goes_one_way([r[input_.name] for r in records])
     window = reading.window or max(min(WINDOW, held / PARTS), 10 * max(r.period for r in records))
 
     def read(settle: float) -> Steady:
         points = [p for r in records
                   for p in _stretches(r, (input_, output), rate, replace(reading, settle=settle, window=window),
                                       reading.steady * span)]  # fmt: skip
-        return Steady(*np.array(points).reshape(-1, 3).T, settle, window)
+        found = np.array(points).reshape(-1, 5)
+        return Steady(*found[:, :3].T, settle, window, going_on=_going_on(found), one_way=one_way)
 
     if reading.settle is not None:
         return read(reading.settle)
@@ -97,6 +108,22 @@ def _settled(tried: Sequence[Steady]) -> Steady:
     return replace(tried[at], creeping=creeping)
 
 
+def _going_on(points: np.ndarray) -> float:
+    """RMS change within windows, SI, beyond what noise makes, of points (n, 5) as of `_stretches`."""
+    change, error = points[np.isfinite(points[:, 3]), 3:].T
+    if len(change) < LEAST_POINTS:
+        return 0.0
+    chance = 1 + 3 * np.sqrt(2 / len(change))
+    beyond = np.sqrt(max(np.mean(change**2) - chance * np.mean(error**2), 0.0))
+    return float(beyond) if beyond > GOES_ON * np.ptp(points[:, 1]) else 0.0
+
+
+def _goes_one_way(commands: Sequence[np.ndarray]) -> bool:
+    steps = np.concatenate([np.diff(c) for c in commands])
+    ways = sorted((float(steps[steps > 0].sum()), float(-steps[steps < 0].sum())))
+    return ways[1] > 0 and ways[0] < ONE_WAY * ways[1]
+
+
 def _scatter(points: Steady) -> float:
     """RMS of the answers about the rising curve next to them."""
     order = np.lexsort((points.answers, points.commands))
@@ -117,8 +144,11 @@ def _held_for(records: Sequence[Record], name: str, jump: float) -> float:
 
 def _stretches(
     record: Record, signals: tuple[Signal, Signal], rate: bool, reading: Reading, allowed: float
-) -> Iterator[tuple[float, float, float]]:
-    """(command, answer, its standard error) of every steady stretch of a recording, one after the other."""
+) -> Iterator[tuple[float, ...]]:
+    """(command, answer, its standard error, its change within the window, that one's) of every steady stretch in turn.
+
+    The last two are nan where the command moves within the window.
+    """
     t, u, y = record.time, *(record[s.name] for s in signals)
     window, delay, answer = reading.window, reading.delay or 0.0, slope_and_error if rate else level_and_error
     before = reading.settle + delay
@@ -132,7 +162,21 @@ def _stretches(
         begin += window
         if high - low >= LEAST_SAMPLES:
             late = slice(*np.searchsorted(t, np.array([t[low] - delay, t[low] + window - delay]) - 1e-9))
-            yield float(u[late].mean()), *answer(t[low:high], y[low:high])
+            yield (
+                float(u[late].mean()),
+                *answer(t[low:high], y[low:high]),
+                *_change(t, y, u, (low, high), answer, allowed),
+            )
+
+
+def _change(t, y, u, between: tuple[int, int], answer, allowed: float) -> tuple[float, float]:
+    """By how much the answer changes from the first half of a window to the second, and its standard error."""
+    low, high = between
+    middle = (low + high) // 2
+    if high - low < 2 * LEAST_SAMPLES or np.ptp(u[low:high]) > STILL * allowed / STEADY:
+        return np.nan, np.nan
+    (one, its), (other, own) = (answer(t[a:b], y[a:b]) for a, b in ((low, middle), (middle, high)))
+    return other - one, float(np.hypot(its, own))
 
 
 def _spread_to_the_end(values: np.ndarray) -> np.ndarray:

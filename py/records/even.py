@@ -9,7 +9,7 @@ from .resampling import NEAR
 FINEST = 9  # digits after the point that times are looked at for
 ROUNDING = 0.501  # of the last digit printed: as far as rounding moves a time
 FEWEST, ENOUGH = 3, 10  # times that say something of a grid; and of one that rounding has moved further
-LOST = 20  # samples that may be missing from a grid
+LOST, MOSTLY = 20, 0.75  # samples that may be missing from a grid, and share of its steps that must be there
 
 
 def even_times(time: np.ndarray) -> np.ndarray | None:
@@ -29,7 +29,7 @@ def even_times(time: np.ndarray) -> np.ndarray | None:
     for lost in range(LOST + 1):
         step = (time[-1] - time[0]) / (len(time) - 1 + lost)
         ticks = np.round((time - time[0]) / step)
-        if (np.diff(ticks) == 1).mean() < 1 - 2 * lost / len(time) or ticks[-1] != len(time) - 1 + lost:
+        if np.diff(ticks).min() < 1 or (np.diff(ticks) == 1).mean() < max(1 - 2 * lost / len(time), MOSTLY):
             continue
         slope, offset = np.polyfit(ticks, time - time[0] - step * ticks, 1)
         grid = time[0] + offset + (step + slope) * ticks

@@ -148,3 +148,23 @@ def test_the_inverse_of_a_learned_block_says_what_the_block_says_of_itself():
     says = judged_inverse(learned, "u", "y", start=START).provenance["held_out"]["says"]
     assert says.startswith("It is the inverse of machine, not of the machine, and of that: It is no better than ARX.")
     assert "steady points that were left out, of machine and not of the machine" in says
+
+
+@pytest.mark.parametrize("stop", [0.3, 0.6, 5.0])
+def test_what_stands_at_an_end_stop_says_nothing_of_the_command(stop):
+    random = np.random.default_rng(2)
+    u, y = np.repeat(random.uniform(-1, 1, 120), 150), np.zeros(120 * 150)
+    for k in range(1, len(u)):
+        y[k] = np.clip(y[k - 1] + PERIOD * 0.3 * bent(u[k - 1]), -stop, stop)
+    y += 1e-4 * random.normal(size=len(y))
+    learnt = judged_inverse(Record(PERIOD * np.arange(len(u)), {"u": u, "y": y}, {"u": "V", "y": "m"}), "u", "y")
+    card = learnt.provenance["held_out"]
+    assert card["outputs"]["y_rate"]["percent_of_range"] < 2.0
+    assert ("stands at an end stop" in card["says"]) == (stop < 5.0)
+
+
+def test_a_level_that_saturates_is_no_end_stop():
+    record = staircase(2.0, 0.05)
+    level = record.with_signals({"y": np.clip(record["y"], -0.5, 0.5)})
+    found = characteristic(level, "u", "y")
+    assert found.rate.name == "wanted_y" and found.reach == pytest.approx((-0.5, 0.5), abs=1e-6)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from ..training_data import as_signals, named, usable
 from .falling import Fall, fall_of_points, refuse_what_falls
 from .held import HeldBlock, Holding
 from .moving import moving_curve
+from .stops import between_stops
 from .stretches import LEAST_POINTS, Reading, covers, steady_points
 
 
@@ -163,12 +164,16 @@ def _of_records(records, signals, rate, reading: Reading, moving, period) -> Cha
         raise DataError("characteristic: no recordings (got an empty list). Give at least one Record.")
     (input,), (output,) = (as_signals([s], records[0], "signals") for s in signals)
     records = usable(all_unbroken(records, [input.name, output.name]), (input, output))
-    rate = integration(records, (input,), (output,))[0].found if rate is None else rate
+    inside = between_stops(records, input.name, output.name)
+    rate = integration(inside, (input,), (output,))[0].found if rate is None else rate
+    stood = sum(r.duration for r in records) - sum(r.duration for r in inside) if rate else 0.0
+    records = inside if rate else records
     every = np.concatenate([r[input.name] for r in records])
     found = None if moving else steady_points(records, input, output, rate, reading)
     enough = found is not None and covers(found.commands, float(np.ptp(every)))
     if moving or (moving is None and not enough):
-        return _of_moving(records, input, output, rate, reading.delay, period)
+        found = _of_moving(records, input, output, rate, reading.delay, period)
+        return replace(found, source={**found.source, "at_stops": stood})
     if not len(found.commands):
         raise DataError(
             f"characteristic of {output.name}: '{input.name}' is nowhere steady for {found.settle + found.window:g} s. "
@@ -176,7 +181,7 @@ def _of_records(records, signals, rate, reading: Reading, moving, period) -> Cha
         )
     told = {"trained_on": named(records), "steady_points": len(found.commands), "settle": found.settle,
             "window": found.window, "delay": reading.delay or 0.0, "creeping": list(found.creeping), "rate": rate,
-            "going_on": found.going_on, "one_way": found.one_way}  # fmt: skip
+            "going_on": found.going_on, "one_way": found.one_way, "at_stops": stood}  # fmt: skip
     asked, sigma = asked_signal(output, rate), float(np.median(found.errors))
     return Characteristic(input, asked, found.commands, found.answers, sigma, period or records[0].period, told)
 

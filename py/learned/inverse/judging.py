@@ -154,7 +154,7 @@ def _card(inverse: LearnedBlock, apart: _Apart, forward: Characteristic, source,
     held = {"points": int(asked.sum()), "which": apart.words}
     good = f"At {held['points']} {apart.words}, RMS error of {row.said()}."
     bad = [*_wrong(forward, source), *_uncovered(apart, forward)]
-    return carded([row], Words(bad, [*_noise(forward), *_moving(forward)]), [held], [good])
+    return carded([row], Words(bad, [*_noise(forward), *_at_stops(forward), *_moving(forward)]), [held], [good])
 
 
 def _wrong(forward: Characteristic, source) -> list[str]:
@@ -257,6 +257,14 @@ def _moving(forward: Characteristic) -> list[str]:
         f"The command never rests, so every sample counts, {late} late. Dead time, lag and play are one there, and the "
         "ends of the range are rounded: hold commands, from both sides, to tell them apart."
     ]
+
+
+def _at_stops(forward: Characteristic) -> list[str]:
+    seconds = forward.source.get("at_stops", 0.0)
+    if not seconds:
+        return []
+    output = judged_signal(forward.rate).name.removesuffix("_rate")
+    return [f"Stretches in which {output} stands at an end stop, {shown(seconds, 's')} of all, were left out."]
 
 
 def _of_source(source) -> list[str]:

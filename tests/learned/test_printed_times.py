@@ -11,18 +11,8 @@ from hydrotwin.learned.training_data import recorded_period, typed_period
 from hydrotwin.records import Record
 from hydrotwin.simulation import simulate
 
-RATES = [
-    (300.0, None),
-    (300.0, 6),
-    (300.0, 5),
-    (300.0, 4),
-    (7.0, 4),
-    (750.0, 4),
-    (1000.0, 3),
-    (300.0, 3),
-    (600.0, 3),
-    (44.1, 2),
-]
+RATES = [(300.0, None, 0.0), (300.0, 5, 1000.0), (300.0, 4, 0.0), (300.0, 3, 1000.0), (750.0, 4, 0.0), (44.1, 2, 0.0),
+         (7.0, 6, 1000.0)]  # fmt: skip
 
 
 def recorded(rate: float, digits: int | None, seed: int, *, start: float = 0.0, samples: int = 3000) -> Record:
@@ -42,8 +32,7 @@ def rms(run: Record, record: Record) -> float:
     return float(np.sqrt(np.mean((run["y"] - record["y"]) ** 2)))
 
 
-@pytest.mark.parametrize("start", [0.0, 1000.0])
-@pytest.mark.parametrize(("rate", "digits"), RATES)
+@pytest.mark.parametrize(("rate", "digits", "start"), RATES)
 def test_a_machine_that_is_learnt_exactly_runs_exactly_over_recordings_of_any_printing(rate, digits, start):
     train = [recorded(rate, digits, 1, start=start), recorded(rate, digits, 2, start=start, samples=2500)]
     block = ht.learn("arx", train, ["u"], ["y"])
@@ -56,7 +45,7 @@ def test_the_longest_time_tells_the_period_best():
     assert recorded_period([long, short]) == pytest.approx(1 / 300, rel=1e-8)
 
 
-@pytest.mark.parametrize(("rate", "digits"), [(300.0, 3), (300.0, 4), (300.0, None)])
+@pytest.mark.parametrize(("rate", "digits"), [(300.0, 3), (300.0, None)])
 def test_the_fmu_of_such_a_block_sees_the_same_samples(rate, digits, tmp_path):
     train = [recorded(rate, digits, k) for k in (1, 2)]
     block = ht.learn("arx", train, ["u"], ["y"])
@@ -79,7 +68,7 @@ def test_a_period_that_is_written_short_stands_for_samples(typed, meant):
     assert found == pytest.approx(typed if meant is None else meant / 300, rel=1e-12)
 
 
-@pytest.mark.parametrize("apart", [1e-5, 1e-4, 5e-4])
+@pytest.mark.parametrize("apart", [2e-5, 5e-4])
 def test_samples_are_counted_where_two_clocks_do_not_quite_agree(apart):
     slower = recorded(300.0 * (1 - apart), None, 2)
     block = ht.learn("arx", [recorded(300.0, None, 1), slower], ["u"], ["y"])

@@ -138,13 +138,10 @@ class FmuBlock:
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
 
-        A sampled block of hydrotwin runs at its own period, its outputs lie on the line between its samples: as
-        `simulate` runs a Block.
-
+        A sampled block of hydrotwin runs at its own period, outputs on the line between, as `simulate` runs a Block.
         An input that the record lacks keeps its start value, with a StartValueWarning; `fed_by` says so beforehand.
 
-        Raises DataError or UnitError for an input without a start value or in another dimension, SolveError when the
-        FMU fails, crashes or hangs.
+        Raises DataError or UnitError for an input without a start value or in another unit, SolveError when it fails.
         """
         self = settled(self._told(record), [record])
         period = self.description.period
@@ -156,11 +153,12 @@ class FmuBlock:
             own = replace(require(even, self.inputs, self.name), time=even.time[0] + period * np.arange(len(even)))
             return replace(self._run(own, even), time=record.time)
         grid = np.arange(even.time[0], even.time[-1] + (1 - NEAR) * period, period)  # to the end or beyond it
-        held, until = [s.name for s in self.inputs if s.held], np.minimum(grid, even.time[-1])
-        known = require(even, self.inputs, self.name).resample(times=until, hold=held)
+        held = [s.name for s in self.inputs if s.held]
+        known = require(even, self.inputs, self.name).resample(times=np.minimum(grid, even.time[-1]), hold=held)
         run = self._run(replace(known, time=grid), even)
-        signals = {name: np.interp(even.time, grid, values) for name, values in run.signals.items()}
-        return Record(record.time, signals, dict(run.units), self.name)
+        return replace(
+            run, time=record.time, signals={n: np.interp(even.time, grid, v) for n, v in run.signals.items()}
+        )
 
     def _run(self, record: Record, first: Record | None = None) -> Record:
         """One free run; ``first`` holds the measured outputs to start from, when ``record`` has inputs only."""

@@ -7,7 +7,7 @@ import numpy as np
 from .resampling import NEAR
 
 FINEST = 9  # digits after the point that times are looked at for
-ROUNDING = 0.501  # of the last digit printed: as far as rounding moves a time
+ROUNDING = 1.0  # of the last digit printed: as far as rounding moves a time from a line that is fitted through all
 FEWEST, ENOUGH = 3, 10  # times that say something of a grid; and of one that rounding has moved further
 LOST, MOSTLY = 20, 0.75  # samples that may be missing from a grid, and share of its steps that must be there
 

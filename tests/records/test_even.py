@@ -40,3 +40,9 @@ def test_an_exact_grid_is_left_as_it_is():
 def test_what_is_not_even_is_not_taken_for_it(time):
     assert not record(time).uniform and record(time).evenly().time is not None
     assert np.array_equal(record(time).evenly().time, time)
+
+
+@pytest.mark.parametrize("rate", [333.0, 334.0, 249.0, 111.0, 99.9])
+def test_rounding_that_drifts_slowly_against_the_grid_is_rounding(rate):
+    printed = record(np.round(np.arange(3000) / rate, 3))
+    assert printed.uniform and printed.period == pytest.approx(1 / rate, rel=3e-4)

@@ -138,10 +138,9 @@ class FmuBlock:
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
 
-        A sampled block of hydrotwin runs at its own period, outputs on the line between, as `simulate` runs a Block.
-        An input that the record lacks keeps its start value, with a StartValueWarning; `fed_by` says so beforehand.
-
-        Raises DataError or UnitError for an input without a start value or in another unit, SolveError when it fails.
+        A sampled block of hydrotwin runs at its own period, as `simulate` runs a Block. An input that the record lacks
+        keeps its start value, with a StartValueWarning. Raises DataError or UnitError for an input without a start
+        value or in another unit, SolveError when it fails.
         """
         self = settled(self._told(record), [record])
         period = self.description.period
@@ -153,8 +152,8 @@ class FmuBlock:
             own = replace(require(even, self.inputs, self.name), time=even.time[0] + period * np.arange(len(even)))
             return replace(self._run(own, even), time=record.time)
         grid = np.arange(even.time[0], even.time[-1] + (1 - NEAR) * period, period)  # to the end or beyond it
-        held = [s.name for s in self.inputs if s.held]
-        known = require(even, self.inputs, self.name).resample(times=np.minimum(grid, even.time[-1]), hold=held)
+        held, until = [s.name for s in self.inputs if s.held], np.minimum(grid, even.time[-1])
+        known = require(even, self.inputs, self.name).resample(times=until, hold=held)
         run = self._run(replace(known, time=grid), even)
         return replace(
             run, time=record.time, signals={n: np.interp(even.time, grid, v) for n, v in run.signals.items()}

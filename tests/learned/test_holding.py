@@ -168,3 +168,14 @@ def test_a_level_that_saturates_is_no_end_stop():
     level = record.with_signals({"y": np.clip(record["y"], -0.5, 0.5)})
     found = characteristic(level, "u", "y")
     assert found.rate.name == "wanted_y" and found.reach == pytest.approx((-0.5, 0.5), abs=1e-6)
+
+
+def test_a_machine_that_swings_is_held_until_it_rests():
+    x, u, p, y = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("p", 0), ca.SX.sym("y")
+    moved = x + PERIOD * ca.vertcat(x[1], 100 * (bent(u) - x[0]) - 12 * x[1])
+    step = ca.Function("step", [x, u, p], [moved, x[0]], ["x", "u", "p"], ["x_next", "y"])
+    start = ca.Function("start", [u, y, p], [ca.vertcat(y, 0)], ["u", "y", "p"], ["x"])
+    states = (StateVariable("y", "m", measured_by="y"), StateVariable("v", "m/s"))
+    machine = Block("spring", (COMMAND,), (Signal("y", "m"),), states, (), step, start, PERIOD)
+    found = characteristic(machine, "u", "y", start=START)
+    assert found.rate.name == "wanted_y" and worst(found) < 0.005

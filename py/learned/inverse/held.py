@@ -18,7 +18,7 @@ from hydrotwin.models.language.flat import Signal
 from hydrotwin.simulation.block import Block
 
 FIRST_LEVELS, ROUNDS, LEVELS_PER_ROUND = 65, 3, 48
-UNSETTLED = {True: 0.1, False: 0.02}  # of the span of rates, of values: by how much twice the time may change them
+UNSETTLED = {True: 0.1, False: 0.005}  # of the span of rates, of values: by how much twice the time may change them
 REMEMBERED = 0.8  # of what two histories made different: an integrator keeps more of it, what settles less
 LONGER = 10  # times settle and window: how long it may forget
 MOVING = 0.1  # of what the output covered since the start: what moves less in as long again is at rest

@@ -138,9 +138,8 @@ class FmuBlock:
     def free_run(self, record: Record) -> Record:
         """Outputs at ``record.time`` from the inputs; start parameters take the first sample of their output.
 
-        A sampled block of hydrotwin runs at its own period, as `simulate` runs a Block. An input that the record lacks
-        keeps its start value, with a StartValueWarning. Raises DataError or UnitError for an input without a start
-        value or in another unit, SolveError when it fails.
+        A sampled block runs at its own period, as in `simulate`. An input that the record lacks keeps its start value,
+        with a warning. Raises DataError or UnitError for one without or in another unit, SolveError when it fails.
         """
         self = settled(self._told(record), [record])
         period = self.description.period
